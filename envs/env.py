@@ -6,7 +6,7 @@ import contextlib
 import logging
 import multiprocessing
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from torchrl.envs import EnvBase
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import ProceduralSource
 from izoo.contexts.source import ContextSource, Schedule, as_schedule, reseed
+from izoo.cores import one_torch_thread
 from izoo.envs import simulator_of, specs
 from izoo.envs.backend import CLOSED, Backend, Play
 from izoo.envs.config import MAX_WORKERS, EnvConfig, checked_config
@@ -56,6 +57,8 @@ class EcoDrivingBase(EnvBase):
     batch_locked = True
     leaves: tuple[str, ...] = ()
     """Arrays of a frame that are emitted at the root, besides the groups of ``config.emit``."""
+    taken_by_backend = False
+    """Whether the threads that wrote the frames of a step have taken them, too."""
 
     def __init__(
         self,
@@ -74,9 +77,8 @@ class EcoDrivingBase(EnvBase):
         self.schedule = as_schedule(ProceduralSource() if contexts is None else contexts, check_seed(seed))
         self._first, self._stride = first, stride
         self._restart_episodes()
-        views = frames if batch_size else row_of(frames, 0)
         leaves = [*self.leaves, *(name for name in (TEAM_REWARD,) if name in config.emit)]
-        self.reader = FrameReader(config, views, self.batch_size, leaves)
+        self.reader = FrameReader(config, frames, self.batch_size, leaves)
         self.observation_names = observation_names(config)
         self.group_map = {"agents": [f"agent_{k}" for k in range(config.num_agents)]}
         self.observation_spec = specs.observation_spec(config, self.batch_size)
@@ -152,7 +154,8 @@ class EcoDrivingBase(EnvBase):
         if not self._in_use.acquire(blocking=False):
             raise IzooError("another thread steps or resets this environment; give each thread one of its own.")
         try:
-            yield
+            with one_torch_thread():
+                yield
         finally:
             self._in_use.release()
 
@@ -175,8 +178,19 @@ class EcoDrivingBase(EnvBase):
         self.require_started()
         with self.used_by_one_thread():
             self.reader.write_action(tensordict)
+            self.reader.begin(stepping=True)
             for index in self.backend.step(self.reader.prepare):
                 self._truncate(index)
+            if not self.taken_by_backend:
+                self._take_all()
+
+    def _take_all(self) -> None:
+        """Take the frames of all environments."""
+        self.share_out(self.reader.take)
+
+    def share_out(self, task: Callable[[slice], object]) -> None:
+        """Call ``task`` with the environments, or with each thread's share of them, all threads side by side."""
+        task(slice(0, self.batch_size.numel()))
 
     def require_started(self, call: str = "step") -> None:
         """Raise :class:`IzooError` unless the episodes are running: the environment is closed, or not yet reset.
@@ -195,9 +209,11 @@ class EcoDrivingBase(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._simulate(tensordict)
-        return self.reader.read(stepped=True)[0]
+        return self.reader.read()[0]
 
     def _frame(self) -> TensorDict:
+        self.reader.begin()
+        self._take_all()
         return self.reader.read()[1]
 
     def step_lean(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -212,7 +228,7 @@ class EcoDrivingBase(EnvBase):
         The same as TorchRL's own, but lean (:meth:`step_lean`).
         """
         self._simulate(tensordict)
-        following, state = self.reader.read(stepped=True)
+        following, state = self.reader.read()
         set_entry(tensordict, "next", following)
         begun = self._begin_where_ended()
         return tensordict, state if begun is None else begun

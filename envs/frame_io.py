@@ -11,77 +11,44 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from izoo.envs.config import SPEED, STEP, EnvConfig
+from izoo.envs.frame_copies import Copies, Layout, Tensors
 from izoo.envs.mdp.columns import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
-from izoo.envs.mdp.frame import CONTEXT_IDS, CONTEXT_VALUES
+from izoo.envs.mdp.frame import CONTEXT_IDS, CONTEXT_VALUES, TOTALS, row_of
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
 from izoo.envs.specs import DONE, optional
 from izoo.errors import IzooError
 
 COMMANDS = {name: ("agents", name) for name in ("action", "defer", "lane_change")}
 """What can be commanded: the key of each array of a frame that the parent writes."""
-_AGENT_LEAVES = {"mask": "mask", "vehicle": "agent_vehicle"}
-"""Arrays of a frame by their key under ``"agents"``, ``[*B, A]``; and those of :func:`~izoo.envs.specs.optional`."""
+_AGENT_LEAVES = {"observation": "observation", "mask": "mask", "vehicle": "agent_vehicle"}
+"""Arrays of a frame by their key under ``"agents"``, ``[*B, A, ...]``, besides :func:`~izoo.envs.specs.optional`."""
 _AGENT_COLUMNS = {"reward": "reward", **{name: f"agent_{name}" for name in DONE}}
 """The same for those that TorchRL wants as ``[*B, A, 1]``."""
+_VEHICLE_COLUMNS = {"vehicle_floats": VEHICLE_FLOATS, "vehicle_ints": VEHICLE_INTS, "vehicle_flags": VEHICLE_FLAGS}
+_OF_GROUP = {
+    "vehicles": tuple(_VEHICLE_COLUMNS),
+    "signal": ("signal_colour", "signal_time_left_s"),
+    "context": ("context_values", "context_ids"),
+    "metrics": (TOTALS, "approach_mask"),
+    "reward_vector": ("reward_vector",),
+}
+"""Arrays of the groups of ``config.emit``."""
 
 
-class Observations(Protocol):
-    """Where the observations of a frame go, by far the largest of its arrays.
+class Outlet(Protocol):
+    """Memory for what a step emits: a step, or another look at the frames, begins, is taken, and is handed on."""
 
-    A step calls :meth:`begin`, perhaps :meth:`take`, and :meth:`read`.
-    """
-
-    def begin(self) -> None:
-        """Begin a step."""
+    def begin(self, stepping: bool) -> None:
+        """Begin a step, or another look at the frames."""
         ...
 
     def take(self, rows: slice) -> None:
-        """Take the observations of some environments. Threads that wrote them do so side by side, each for its own."""
+        """Take the frames of some environments; threads do so side by side, each for its own."""
         ...
 
-    def read(self, stepped: bool) -> tuple[Tensor, Tensor]:
-        """Return the observations ``[*B, A, F]`` that a step led to, and those to act on next.
-
-        Args:
-            stepped: a step has just ended, and no frame changed since: what was taken is not taken again.
-        """
+    def tensors(self) -> tuple[Tensors, Tensors]:
+        """Return the arrays ``[*B, ...]`` that the step leads to, and those to act on next, by name."""
         ...
-
-
-class Copies:
-    """Observations that own their memory, copied whole in every step.
-
-    Args:
-        source: ``[*B, A, F]`` those of the frames.
-    """
-
-    def __init__(self, source: np.ndarray) -> None:
-        self._source = source
-        self._blank: np.ndarray | None = None
-        self._taken: list[slice] = []
-
-    def begin(self) -> None:
-        """Begin a step: ask for the memory of its copy."""
-        self._taken = []
-        if self._blank is None:
-            self._blank = np.empty_like(self._source)
-
-    def take(self, rows: slice) -> None:
-        """Copy those of some environments, in a step that has begun."""
-        blank, taken = self._blank, self._taken
-        if blank is not None:
-            np.copyto(blank[rows], self._source[rows])
-            taken.append(rows)
-
-    def read(self, stepped: bool) -> tuple[Tensor, Tensor]:
-        """Return the copy, twice."""
-        blank, self._blank = self._blank, None
-        if blank is None:
-            blank = self._source.copy()
-        elif not (stepped and sum(rows.stop - rows.start for rows in self._taken) == len(blank)):
-            np.copyto(blank, self._source)
-        copy = torch.from_numpy(blank)
-        return copy, copy
 
 
 ROUNDING = 1e-5
@@ -89,43 +56,43 @@ ROUNDING = 1e-5
 
 
 class FrameReader:
-    """Turns the arrays of frames into TensorDicts that own their memory, unless :attr:`observations` says otherwise.
+    """Turns the arrays of frames into TensorDicts, in memory that :attr:`outlet` has.
 
     Attributes:
-        observations: where these go.
+        layout: of what is emitted.
+        outlet: where it goes; by default copies that own their memory.
         vehicle_names: entries of the group of vehicles that are emitted; ``None``: all.
 
     Args:
         config: the environment's settings.
-        arrays: frames as made by :func:`izoo.envs.mdp.frame.map_frames`; for ``batch`` of ``[]`` their single row.
-        batch: batch size of the environment.
+        frames: ``[N, ...]`` as made by :func:`izoo.envs.mdp.frame.map_frames`.
+        batch: batch size of the environment: ``[N]``, or ``[]`` for a single one.
         leaves: arrays that are emitted at the root under their own names.
     """
 
     def __init__(
-        self, config: EnvConfig, arrays: dict[str, np.ndarray], batch: torch.Size, leaves: Sequence[str] = ()
+        self, config: EnvConfig, frames: dict[str, np.ndarray], batch: torch.Size, leaves: Sequence[str] = ()
     ) -> None:
         self.config, self.batch = config, batch
         self.agents_batch = torch.Size((*batch, config.num_agents))
         self.vehicle_names: tuple[str, ...] | None = None
+        arrays = frames if batch else row_of(frames, 0)
         self._defer = arrays["defer"].view(bool)
         self._deferring = True
         self.tensors: dict[str, Tensor] = {}
         for name, array in arrays.items():
             tensor = torch.from_numpy(array)
             self.tensors[name] = tensor.view(torch.bool) if array.dtype == np.uint8 else tensor
-        agent_leaves = _AGENT_LEAVES | {name: name for name in optional(config)}
-        self._agent_keys = (*agent_leaves, *_AGENT_COLUMNS)
-        self._root_keys = (*DONE, *leaves)
-        sources = [self.tensors[name] for name in agent_leaves.values()]
-        sources += [self.tensors[name].unsqueeze(-1) for name in _AGENT_COLUMNS.values()]
-        sources += [self.tensors[name] for name in self._root_keys]
-        self._sources = [tensor.numpy() for tensor in sources]
+        self._agent_leaves = _AGENT_LEAVES | {name: name for name in optional(config)}
+        self._leaves = (*DONE, *leaves)
+        names = [*self._agent_leaves.values(), *_AGENT_COLUMNS.values(), *self._leaves]
+        names += [name for group in config.emit for name in _OF_GROUP.get(group, ())]
+        self.layout = Layout(frames, batch, names)
+        self.outlet: Outlet = Copies(self.layout)
         self.action_shape = torch.Size((*self.agents_batch, config.action_size))
         self._action = self.tensors["action"][..., : config.action_size]
         self.tensors["action"][..., config.action_size :] = 1.0
-        self._prepared: tuple[list[np.ndarray], TensorDict, TensorDict] | None = None
-        self.observations: Observations = Copies(arrays["observation"])
+        self._prepared: tuple[TensorDict, TensorDict] | None = None
 
     def _check_action(self, tensordict: TensorDictBase) -> None:
         """Check the action keys.
@@ -183,7 +150,6 @@ class FrameReader:
         self._write_defer(None if defer is None else defer.detach().reshape(self.agents_batch).numpy())
         if self.config.lane_change:
             self.tensors["lane_change"].copy_(agents.get("lane_change", None))
-        self.observations.begin()
 
     def _write_defer(self, defer: np.ndarray | None) -> None:
         # Whoever is interrupted here has not forgotten that flags may be set.
@@ -194,89 +160,80 @@ class FrameReader:
             self._defer.fill(0)
             self._deferring = False
 
+    def begin(self, stepping: bool = False) -> None:
+        """Begin a step, or another look at the frames, which are then to be taken: see :class:`Outlet`."""
+        self._prepared = None
+        self.outlet.begin(stepping)
+
     def prepare(self) -> None:
-        """Do that part of the next :meth:`read` which does not need the frame, while the frame is waited for."""
+        """Do that part of the next :meth:`read` which does not need the frames, while they are waited for."""
         if self._prepared is None:
-            blanks = [np.empty_like(source) for source in self._sources]
-            self._prepared = blanks, *self._assemble([torch.from_numpy(blank) for blank in blanks])
+            led_to, acted_on = self.outlet.tensors()
+            following, state = self.assemble(led_to, self.batch)
+            self._prepared = following, state if acted_on is led_to else self.assemble(acted_on, self.batch)[1]
 
     def take(self, rows: slice) -> None:
-        """Take the observations of some environments for the next :meth:`read`: see :class:`Observations`."""
-        self.observations.take(rows)
+        """Take the frames of some environments for the next :meth:`read`."""
+        self.outlet.take(rows)
 
-    def read(self, stepped: bool = False) -> tuple[TensorDict, TensorDict]:
-        """Return what a step leads to, with the reward, and the same without it: the state to act on next.
+    def read(self) -> tuple[TensorDict, TensorDict]:
+        """Return what a step led to, with the reward, and the state to act on next, which has none.
 
-        Everything in :func:`~izoo.envs.specs.observation_spec` and the done flags are there. Both share their tensors.
-
-        Args:
-            stepped: a step has just ended, and no frame changed since.
+        Everything in :func:`~izoo.envs.specs.observation_spec` and the done flags are there. They share their tensors,
+        unless :attr:`outlet` says otherwise.
         """
-        if self._prepared is None:
-            following, state = self._assemble([torch.from_numpy(source.copy()) for source in self._sources])
-        else:
-            blanks, following, state = self._prepared
-            self._prepared = None
-            for blank, source in zip(blanks, self._sources, strict=True):
-                np.copyto(blank, source)
-        for frame, observation in zip((following, state), self.observations.read(stepped), strict=True):
-            set_entry(frame["agents"], "observation", observation)
-        if self.config.emit:
-            self._add_groups(following, state)
-        return following, state
+        self.prepare()
+        prepared, self._prepared = self._prepared, None
+        assert prepared is not None
+        return prepared
 
-    def _assemble(self, leaves: Sequence[Tensor]) -> tuple[TensorDict, TensorDict]:
-        """Return the two TensorDicts of a step from copies of the sources; observations and groups are to be added."""
-        count = len(self._agent_keys)
-        agents = dict(zip(self._agent_keys, leaves[:count], strict=True))
-        root: dict[str, Tensor | TensorDict] = dict(zip(self._root_keys, leaves[count:], strict=True))
-        following = _new({**root, "agents": _new({**agents}, self.agents_batch)}, self.batch)
+    def assemble(self, tensors: Tensors, batch: torch.Size) -> tuple[TensorDict, TensorDict]:
+        """Return the arrays of a frame, ``[*batch, ...]`` each, as what a step led to, and without reward to act on."""
+        agents_batch = torch.Size((*batch, self.config.num_agents))
+        agents = {key: tensors[name] for key, name in self._agent_leaves.items()}
+        agents |= {key: tensors[name].unsqueeze(-1) for key, name in _AGENT_COLUMNS.items()}
+        if "reward_vector" in self.config.emit:
+            agents["reward_vector"] = tensors["reward_vector"]
+        frame: dict[str, Tensor | TensorDict] = {name: tensors[name] for name in self._leaves}
+        frame |= {group: add(self, tensors, batch) for group, add in _GROUPS.items() if group in self.config.emit}
+        following = _new({**frame, "agents": _new({**agents}, agents_batch)}, batch)
         del agents["reward"]
-        root["agents"] = _new(agents, self.agents_batch)
-        return following, _new(root, self.batch)
+        return following, _new({**frame, "agents": _new(agents, agents_batch)}, batch)
 
-    def _add_groups(self, following: TensorDict, state: TensorDict) -> None:
-        """Add the groups of ``config.emit``, from copies of the blocks of the frames."""
-        t, emit = self.tensors, self.config.emit
-        groups: dict[str, TensorDict] = {}
-        if "reward_vector" in emit:
-            following["agents"]["reward_vector"] = state["agents"]["reward_vector"] = t["reward_vector"].clone()
-        if "vehicles" in emit:
-            groups["vehicles"] = self._vehicles()
-        if "signal" in emit:
-            signal = {"colour": t["signal_colour"].clone(), "time_left_s": t["signal_time_left_s"].clone()}
-            groups["signal"] = _new(signal, torch.Size((*self.batch, self.config.num_approaches)))
-        if "context" in emit:
-            groups["context"] = self.context()
-        if "metrics" in emit:
-            groups["metrics"] = self.metrics()
-        for name, group in groups.items():
-            for tensordict in (following, state):
-                set_entry(tensordict, name, group)
-
-    def context(self) -> TensorDict:
-        """Read the context group."""
-        values, ids = self.tensors["context_values"].clone(), self.tensors["context_ids"].clone()
-        columns = dict(zip(CONTEXT_VALUES, values.split(1, -1), strict=True))
-        columns |= dict(zip(CONTEXT_IDS, ids.split(1, -1), strict=True))
-        return _new(columns, self.batch)
-
-    def _vehicles(self) -> TensorDict:
-        t = self.tensors
-        columns = dict(zip(VEHICLE_FLOATS, t["vehicle_floats"].clone().unbind(-1), strict=True))
-        columns |= dict(zip(VEHICLE_INTS, t["vehicle_ints"].clone().unbind(-1), strict=True))
-        columns |= dict(zip(VEHICLE_FLAGS, t["vehicle_flags"].clone().unbind(-1), strict=True))
+    def _vehicles(self, tensors: Tensors, batch: torch.Size) -> TensorDict:
+        columns: dict[str, Tensor] = {}
+        for name, names in _VEHICLE_COLUMNS.items():
+            columns |= zip(names, tensors[name].unbind(-1), strict=True)
         if self.vehicle_names is not None:
             columns = {name: columns[name] for name in self.vehicle_names}
-        return _new(columns, torch.Size((*self.batch, self.config.num_vehicles)))
+        return _new(columns, torch.Size((*batch, self.config.num_vehicles)))
 
-    def metrics(self) -> TensorDict:
-        """Read the metrics group: sums of the episode so far."""
-        approach = dict(zip(APPROACH_METRICS, self.tensors["approach_metrics"].clone().unbind(-1), strict=True))
-        approach["mask"] = self.tensors["approach_mask"].clone()
-        episode = dict(zip(EPISODE_METRICS, self.tensors["episode_metrics"].clone().split(1, -1), strict=True))
-        p = torch.Size((*self.batch, self.config.num_approaches))
-        return _new({"approach": _new(approach, p), "episode": _new(episode, self.batch)}, self.batch)
+    def _signal(self, tensors: Tensors, batch: torch.Size) -> TensorDict:
+        signal = {"colour": tensors["signal_colour"], "time_left_s": tensors["signal_time_left_s"]}
+        return _new(signal, torch.Size((*batch, self.config.num_approaches)))
+
+    def _context(self, tensors: Tensors, batch: torch.Size) -> TensorDict:
+        columns = dict(zip(CONTEXT_VALUES, tensors["context_values"].split(1, -1), strict=True))
+        columns |= dict(zip(CONTEXT_IDS, tensors["context_ids"].split(1, -1), strict=True))
+        return _new(columns, batch)
+
+    def _metrics(self, tensors: Tensors, batch: torch.Size) -> TensorDict:
+        """Sums of the episode so far."""
+        episode, approach = tensors[TOTALS].tensor_split([len(EPISODE_METRICS)], -1)
+        sums = dict(zip(EPISODE_METRICS, episode.split(1, -1), strict=True))
+        by_approach = approach.unflatten(-1, (-1, len(APPROACH_METRICS)))
+        columns = dict(zip(APPROACH_METRICS, by_approach.unbind(-1), strict=True))
+        columns["mask"] = tensors["approach_mask"]
+        p = torch.Size((*batch, self.config.num_approaches))
+        return _new({"approach": _new(columns, p), "episode": _new(sums, batch)}, batch)
+
+
+_GROUPS = {
+    "vehicles": FrameReader._vehicles,
+    "signal": FrameReader._signal,
+    "context": FrameReader._context,
+    "metrics": FrameReader._metrics,
+}
 
 
 def set_entry(tensordict: TensorDictBase, key: str, value: Any) -> None:

@@ -7,7 +7,7 @@ import functools
 import hashlib
 import hmac
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from izoo.envs.model_version import MODEL_VERSION
 from izoo.envs.render import draw
 from izoo.envs.twin.backend import TwinBackend
 from izoo.errors import IzooError, check_whole
-from izoo.files import own_key
+from izoo.user_key import own_key
 
 _ENTRIES = ("settings", "plays", "episodes", "next_episodes", "packed")
 """What a saved state holds besides its mark; all but the first are one per environment."""
@@ -81,6 +81,7 @@ class TwinEnv(EcoDrivingBase):
     """
 
     backend: TwinBackend
+    taken_by_backend = True
 
     def __init__(
         self,
@@ -111,10 +112,15 @@ class TwinEnv(EcoDrivingBase):
         self._look_ahead()
         return frame
 
+    def share_out(self, task: Callable[[slice], object]) -> None:
+        """Call ``task`` with each thread's share of the environments, all threads side by side."""
+        self.backend.share_out(task)
+
     def _look_ahead(self) -> None:
         """Let the next episode of every environment be prepared."""
         schedule = self.schedule
-        for index, number in enumerate(self._next_episode.tolist()):
+        for index in self.backend.unexpected(self._next_episode):
+            number = int(self._next_episode[index])
             self.backend.expect(index, number, functools.partial(_planned, schedule, number))
 
     def advance(self, decisions: Sequence[int]) -> TensorDict:

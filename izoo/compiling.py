@@ -33,7 +33,7 @@ SOURCES = {
     "izoo.algos": ("networks/censored_normal.py", "networks/compiled_mlp.py"),
     "izoo.contexts": ("features.py",),
     "izoo.emissions": ("*.py",),
-    "izoo.envs": ("config.py", "observation_buffer.py", "mdp/*.py", "twin/**/*.py"),
+    "izoo.envs": ("config.py", "frame_copies.py", "mdp/*.py", "twin/**/*.py"),
     "izoo.networks": ("clock.py", "road.py"),
 }
 """Files whose functions are compiled, or whose constants are compiled into them, by their package."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
-import functools
 import gzip
 import hashlib
 import io
@@ -28,7 +27,6 @@ import platformdirs
 from izoo.errors import IzooError
 
 CACHE_ENV = "IZOO_CACHE_DIR"
-_KEY_BYTES = 32
 MOST_UNPACKED_BYTES = 1 << 28
 """Of a compressed file; results with a hundred thousand contexts hold as much."""
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
@@ -367,30 +365,6 @@ def check_folder(folder: Path, remedy: str) -> None:
 def cache_root() -> Path:
     """Return the folder of what is kept to save time: ``$IZOO_CACHE_DIR``, or else the user's cache folder."""
     return Path(os.environ.get(CACHE_ENV) or platformdirs.user_cache_dir("izoo"))
-
-
-@functools.cache
-def own_key() -> bytes:
-    """Return 32 secret bytes of this user, by which izoo knows again what it has written itself.
-
-    They lie in the user's data folder; where that cannot be written, they are those of this process alone.
-    """
-    path, key = Path(platformdirs.user_data_dir("izoo")) / "key", secrets.token_bytes(_KEY_BYTES)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(path.parent, os.O_RDONLY)
-        try:
-            with contextlib.suppress(OSError):  # some network file systems cannot lock a folder
-                fcntl.flock(descriptor, fcntl.LOCK_EX)
-            if not path.exists() or path.stat().st_size != _KEY_BYTES:
-                with replacing(path) as partial:
-                    partial.touch(0o600)
-                    partial.write_bytes(key)
-            return read_bytes(path, _KEY_BYTES)
-        finally:
-            os.close(descriptor)
-    except OSError:
-        return key
 
 
 def os_reason(error: OSError) -> str:

@@ -20,7 +20,7 @@ SHORT = EnvConfig(horizon_s=120.0, warmup_s=20.0, drain_s=60.0, num_agents=32)
 LONGEST = (
     # These two compile the twin and the environment on SUMO where they are not compiled yet: each in its own process.
     *("tests/training/test_simulators.py", "tests/test_train.py"),
-    *("tests/docs/test_blocks.py", "tests/training/test_ray.py", "tests/benchmarks/test_generalization.py"),
+    *("tests/docs/test_blocks.py", "tests/training/test_ray.py", "tests/benchmarks/test_campaign.py"),
     *("tests/test_packaging.py", "tests/envs/test_worker_failures.py", "tests/training/"),
     *("tests/test_cli.py", "tests/envs/", "tests/results/", "tests/benchmarks/", "tests/docs/", "tests/test_"),
 )

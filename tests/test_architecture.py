@@ -19,7 +19,7 @@ SIMULATOR = {"libsumo", "traci"}
 FLOORS = (
     {"errors", "cores"},
     {"files", "console", "gpu", "imports", "processes"},
-    {"compiling"},
+    {"compiling", "user_key"},
     {"metrics", "emissions"},
     {"contexts"},
     {"networks"},
@@ -40,7 +40,7 @@ ENV_FLOORS = (
     {"config", "mdp", "model_version"},
     {"backend"},
     {"sumo", "twin"},
-    {"specs", "frame_io", "observation_buffer", "render", "env", "twin_env"},
+    {"specs", "frame_io", "frame_copies", "render", "env", "twin_env"},
     {"views"},
 )
 """The same inside ``envs``; modules that share a floor are one room: the MDP, or the face that TorchRL sees."""

@@ -151,7 +151,7 @@ def test_where_nothing_can_be_written_code_is_not_kept(installation: Installatio
 def test_every_compiled_module_is_a_source() -> None:
     program = """
 import importlib, pathlib, izoo.envs, izoo.compiling as compiling
-for name in ("izoo.envs.mdp.step", "izoo.envs.observation_buffer", "izoo.envs.twin_env",
+for name in ("izoo.envs.mdp.step", "izoo.envs.frame_copies", "izoo.envs.twin_env",
 "izoo.algos.networks.compiled_mlp"): importlib.import_module(name)
 known = {str(path) for path in compiling.sources()}
 import sys

@@ -20,13 +20,13 @@ from izoo.files import (
     discard_partials,
     free_folder,
     os_reason,
-    own_key,
     partial_of,
     replacing_folder,
     unpacked,
     write_bytes,
     write_text,
 )
+from izoo.user_key import own_key
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_a_key_is_made_once_and_for_its_user_alone(
         path.parent.mkdir()
         path.write_bytes(before)
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
-    program = [sys.executable, "-c", "from izoo.files import own_key; print(own_key().hex())"]
+    program = [sys.executable, "-c", "from izoo.user_key import own_key; print(own_key().hex())"]
     others = [subprocess.Popen(program, stdout=subprocess.PIPE, text=True) for _ in range(4)]
     keys = {other.communicate()[0].strip() for other in others}
     assert keys == {path.read_bytes().hex()} and path.stat().st_size == 32

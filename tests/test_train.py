@@ -182,23 +182,7 @@ def test_ctrl_c_ends_a_sweep_with_its_present_run(tmp_path: Path) -> None:
 
 
 def make_state() -> dict[str, Any]:
-    return {"algorithm": {"policy": {"w": torch.arange(1000.0)}}, "features": 3}
-
-
-def test_damaged_checkpoints_are_refused_and_the_previous_one_named(tmp_path: Path) -> None:
-    first = checkpoint.save(tmp_path, 100, make_state(), keep=5)
-    second = checkpoint.save(tmp_path, 200, make_state(), keep=5)
-    whole = second.read_bytes()
-    # The last two are an empty pickle stack and a stream that ends within a number.
-    for damage in (whole[: len(whole) // 2], b"", b"not a checkpoint", b"\x80\x02.", b"\x80\x02J\x00"):
-        second.write_bytes(damage)
-        with pytest.raises(IzooError, match="cut short or not a checkpoint") as caught:
-            checkpoint.load(second)
-        assert str(first) in str(caught.value)
-    torch.save({"someone": "else"}, second)
-    with pytest.raises(IzooError, match="not a checkpoint of this version"):
-        checkpoint.load(second)
-    assert torch.equal(checkpoint.load(first)["algorithm"]["policy"]["w"], torch.arange(1000.0))
+    return {"algorithm": {"policy": {"w": torch.arange(1000.0)}}}
 
 
 def test_checkpoints_hold_no_code(tmp_path: Path) -> None:

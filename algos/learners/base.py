@@ -131,15 +131,51 @@ def check_widths(option: str, widths: Sequence[int]) -> None:
         raise IzooError(f"{option} is {list(widths)}: {weights:,} weights, more than {MOST_WEIGHTS:,}; give fewer.")
 
 
-def mlp(inputs: int, hidden: Sequence[int], outputs: int, activation: str, last_gain: float) -> nn.Sequential:
+class Standardise(nn.Module):
+    """Observations minus their mean, divided by their spread; as they are until :meth:`measure` has seen some.
+
+    Args:
+        features: length ``F`` of an observation.
+    """
+
+    LIMIT = 5.0
+    """No standardised value is larger."""
+    mean: Tensor
+    spread: Tensor
+    measured: Tensor
+
+    def __init__(self, features: int) -> None:
+        super().__init__()
+        for name, value in (("mean", torch.zeros(features)), ("spread", torch.ones(features))):
+            self.register_buffer(name, value)
+        self.register_buffer("measured", torch.tensor(False))
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """Return ``[*B, F]`` of ``[*B, F]``."""
+        standard = ((observation - self.mean) / self.spread).clamp(-self.LIMIT, self.LIMIT)
+        return torch.where(self.measured, standard, observation)
+
+    def measure(self, observation: Tensor) -> None:
+        """Take mean and spread from the first rows ``[n, F]`` that are given; constant features keep their spread."""
+        if not self.measured and len(observation) > 1:
+            spread, mean = torch.std_mean(observation, 0)
+            self.mean.copy_(mean)
+            self.spread.copy_(torch.where(spread > 1e-4, spread, 1.0))
+            self.measured.fill_(True)
+
+
+def mlp(
+    inputs: int, hidden: Sequence[int], outputs: int, activation: str, last_gain: float, standardise: bool = False
+) -> nn.Sequential:
     """Return a fully connected network with orthogonal weights and zero biases.
 
     Args:
         inputs, hidden, outputs: widths.
         activation: one of :data:`ACTIVATIONS`.
         last_gain: gain of the last layer; small values make the initial output nearly independent of the input.
+        standardise: begin with :class:`Standardise`.
     """
-    layers: list[nn.Module] = []
+    layers: list[nn.Module] = [Standardise(inputs)] if standardise else []
     widths = [inputs, *hidden]
     for before, after in itertools.pairwise(widths):
         linear = nn.Linear(before, after)

@@ -272,13 +272,11 @@ class ExploringPolicy(TensorDictModuleBase):
         if self.size > 1 or not compiled_mlp.compilable(observation):
             return spread_out(self.network(observation[mask]), mask)
         out, own = np.empty(mask.numel(), np.float32), self.arrays
-        compiled_mlp.act_squashed(
-            observation.reshape(-1, observation.shape[-1]).numpy(),
-            mask.reshape(-1, mask.shape[-1]).numpy().view(np.uint8),
-            *own.layers(),
-            own.activation,
-            (self.low, self.high),
-            out,
+        rows = observation.reshape(-1, observation.shape[-1]).numpy()
+        slots = mask.reshape(-1, mask.shape[-1]).numpy().view(np.uint8)
+        network = *own.layers(), own.activation, (self.low, self.high)
+        compiled_mlp.for_all(
+            len(slots), lambda envs: compiled_mlp.act_squashed(rows, slots, envs.start, envs.stop, *network, out)
         )
         return torch.from_numpy(out).view(*mask.shape, 1)
 

@@ -206,7 +206,7 @@ class GraphNetwork(SetNetwork):
         super().__init__()
         self.neighbours, self.range_m = config.neighbours, config.range_m
         (*hidden, width), activation = config.hidden, config.activation
-        encoder = base.mlp(features, hidden, width, activation, last_gain=2.0**0.5)
+        encoder = base.mlp(features, hidden, width, activation, 2.0**0.5, config.standardise)
         self.encode = nn.Sequential(encoder, base.ACTIVATIONS[activation]())
         self.convolutions = nn.ModuleList(Convolution(width, config.heads, activation) for _ in range(config.layers))
         self.head = base.mlp((config.layers + 1) * width, (), outputs, activation, last_gain)

@@ -108,7 +108,7 @@ class SetCritic(SetNetwork):
         width, queries = config.critic_embedding, config.critic_queries
         activation = base.ACTIVATIONS[config.activation]
         self.embed = nn.Sequential(
-            base.mlp(features, config.hidden[:-1], width, config.activation, last_gain=2.0**0.5), activation()
+            base.mlp(features, config.hidden[:-1], width, config.activation, 2.0**0.5, config.standardise), activation()
         )
         self.score = base.mlp(width, (), queries, config.activation, last_gain=1.0)
         self.gather = nn.Sequential(

@@ -79,6 +79,8 @@ class PPOConfig(AlgoConfig):
         warm_start_lr: learning rate of the imitation; ``null``: ``lr``.
         kl_to_start: weight of a penalty on the divergence from the imitation as it was at its end; it falls linearly to
             0 at the end of the run (ours 1; 0: none).
+        standardise: subtract the mean from each feature of an observation and divide it by its spread, as they are in
+            the first batch (Andrychowicz: of all observations so far; RLlib and ours: not).
         hidden: widths of the hidden layers of each of the two networks (RLlib 256, 256; ours 128, 128).
         activation: ``tanh`` (RLlib, Andrychowicz), ``relu`` or ``silu``.
         initial_accel_mps2: median acceleration of the untrained policy. Vehicles that hardly accelerate block the road,
@@ -114,6 +116,7 @@ class PPOConfig(AlgoConfig):
     warm_start_frames: int = 100_000
     warm_start_lr: float | None = None
     kl_to_start: float = 1.0
+    standardise: bool = False
     hidden: tuple[int, ...] = (128, 128)
     activation: Literal["tanh", "relu", "silu"] = "tanh"
     initial_accel_mps2: float = 0.5
@@ -233,7 +236,7 @@ def make_actor(
 
     It works on the last dimension of ``("agents", "observation")``, for any number of agents or flat rows.
     """
-    network = base.mlp(features, config.hidden, 2 * size, config.activation, last_gain=0.01)
+    network = base.mlp(features, config.hidden, 2 * size, config.activation, 0.01, config.standardise)
     extract = normal_parameters(network[-1], low, high, config.initial_accel_mps2, config.initial_spread, point_mass)  # type: ignore[arg-type]
     return tanh_normal(nn.Sequential(network, extract), [base.OBSERVATION], low, high, point_mass)
 
@@ -247,7 +250,7 @@ def make_value_norm(name: str) -> ValueNorm | None:
 
 def make_critic(features: int, config: PPOConfig) -> ValueOperator:
     """Return the value function of one agent's own observation."""
-    network = base.mlp(features, config.hidden, 1, config.activation, last_gain=1.0)
+    network = base.mlp(features, config.hidden, 1, config.activation, 1.0, config.standardise)
     return ValueOperator(network, in_keys=[base.OBSERVATION], out_keys=[base.VALUE])
 
 
@@ -294,7 +297,8 @@ class PPO:
 
     def make_policy(self, low: float, high: float) -> SamplingPolicy:
         """Return the policy for collection; it shares the parameters of ``actor``."""
-        return CompiledPolicy(self.actor, low, high, self.point_mass, self.size)
+        policy = SamplingPolicy if self.config.standardise else CompiledPolicy
+        return policy(self.actor, low, high, self.point_mass, self.size)
 
     def make_critic(self, features: int) -> ValueOperator:
         """Return the value function as the loss uses it, on flat rows."""
@@ -324,6 +328,9 @@ class PPO:
         rows = self.advantages(batch)
         if len(rows) == 0:
             return {}
+        for module in (*self.actor.modules(), *self.critic.modules()):
+            if isinstance(module, base.Standardise):
+                module.measure(rows.get(base.OBSERVATION))
         start, actor = self.warm_start, self.loss.actor_network
         imitates = start.imitating
         if imitates:

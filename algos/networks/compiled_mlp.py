@@ -1,4 +1,4 @@
-"""Fully connected policies compiled for one step: a few dozen agents per call, on one core.
+"""Fully connected policies compiled for one step: a few dozen agents per call, or many shared out among threads.
 
 It computes what the torch modules compute; at this size those spend most of their time on overhead. Each agent is
 computed alone, so its action is the same to the last bit, whichever other agents there are.
@@ -6,8 +6,10 @@ computed alone, so its action is the same to the last bit, whichever other agent
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextvars import ContextVar
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,29 @@ _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _MOST_EXCESS = MAX_EXCESS
 Layers = tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]
 """Weights ``[O, I]`` and biases ``[O]`` of linear layers, in the order in which they are applied."""
+
+ShareOut = Callable[[Callable[[slice], object]], None]
+"""Calls a task with each thread's share of the environments, all threads side by side."""
+_THREADS: ContextVar[tuple[int, ShareOut] | None] = ContextVar("threads that act", default=None)
+
+
+@contextlib.contextmanager
+def acting_together(num_envs: int, share_out: ShareOut) -> Iterator[None]:
+    """Let policies act for ``num_envs`` environments in the threads of ``share_out`` meanwhile."""
+    token = _THREADS.set((num_envs, share_out))
+    try:
+        yield
+    finally:
+        _THREADS.reset(token)
+
+
+def for_all(num_envs: int, task: Callable[[slice], object]) -> None:
+    """Call ``task`` for so many environments: in the threads of :func:`acting_together`, or at once."""
+    threads = _THREADS.get()
+    if threads is not None and threads[0] == num_envs:
+        threads[1](task)
+    else:
+        task(slice(0, num_envs))
 
 
 class Arrays:
@@ -146,7 +171,7 @@ def layers(x, weights, biases, activation):  # type: ignore[no-untyped-def]
 
 @compiled(error_model="numpy")
 def sample(parameters, rows, spread, bounds, half_band, two_sided, noise, out):  # type: ignore[no-untyped-def]
-    """Draw for the agents ``rows [r]``; empty slots get median 0, spread 1, action 0 and log-probability 0.
+    """Draw for the agents ``rows [r]``.
 
     With ``half_band`` of 0 or more, actions have a point mass at 0
     (:class:`izoo.algos.networks.censored_normal.CensoredNormal`).
@@ -164,9 +189,6 @@ def sample(parameters, rows, spread, bounds, half_band, two_sided, noise, out): 
     offset, summand, floor = spread
     middle, half = 0.5 * (bounds[0] + bounds[1]), 0.5 * (bounds[1] - bounds[0])
     constant = -0.5 * math.log(2.0 * math.pi) - 2.0 * math.log(2.0) - math.log(half)
-    out[0] = 0.0
-    out[1] = 1.0
-    out[2:] = 0.0
     for j in range(rows.shape[0]):
         r = rows[j]
         scale = max(_softplus(parameters[j, 1] + offset) + summand, floor)
@@ -188,32 +210,41 @@ def sample(parameters, rows, spread, bounds, half_band, two_sided, noise, out): 
         out[3, r] = constant - 0.5 * z * z - math.log(scale) + 2.0 * (raw + _softplus(-2.0 * raw))
 
 
-@compiled(error_model="numpy")
-def act(observation, mask, weights, biases, activation, spread, bounds, half_band, two_sided, noise, out):  # type: ignore[no-untyped-def]
+@compiled(error_model="numpy", nogil=True)
+def act(  # type: ignore[no-untyped-def]
+    observation, mask, first, last, weights, biases, activation, spread, bounds, half_band, two_sided, noise, out
+):
     """Act for every agent by a fully connected network; what empty slots hold does not matter.
+
+    These get median 0, spread 1, action 0 and log-probability 0.
 
     Args:
         observation: ``[n, F]``.
         mask: ``[M, A]``, ``n`` in all, uint8: the slot holds an agent.
+        first, last: of the ``M`` environments those that are acted for.
         weights, biases: tuples of the layers' ``[O, I]`` and ``[O]``; the last layer has two outputs.
         activation: place in :data:`izoo.algos.learners.base.ACTIVATIONS`.
         spread, bounds, half_band, two_sided, noise, out: see :func:`sample`.
     """
-    rows = np.flatnonzero(mask)
+    slots = mask.shape[1]
+    rows = np.flatnonzero(mask[first:last]) + first * slots
+    for k in range(4):
+        out[k, first * slots : last * slots] = 1.0 if k == 1 else 0.0
     sample(
         layers(observation[rows], weights, biases, activation), rows, spread, bounds, half_band, two_sided, noise, out
     )
 
 
-@compiled(error_model="numpy")
-def act_squashed(observation, mask, weights, biases, activation, bounds, out):  # type: ignore[no-untyped-def]
+@compiled(error_model="numpy", nogil=True)
+def act_squashed(observation, mask, first, last, weights, biases, activation, bounds, out):  # type: ignore[no-untyped-def]
     """Write ``tanh`` of a network's one output, on ``bounds``, to ``out [n]``; empty slots get 0.
 
     The other arguments are those of :func:`act`.
     """
-    rows = np.flatnonzero(mask)
+    slots = mask.shape[1]
+    rows = np.flatnonzero(mask[first:last]) + first * slots
     raw = layers(observation[rows], weights, biases, activation)
     middle, half = 0.5 * (bounds[0] + bounds[1]), 0.5 * (bounds[1] - bounds[0])
-    out[:] = 0.0
+    out[first * slots : last * slots] = 0.0
     for j in range(rows.shape[0]):
         out[rows[j]] = middle + half * math.tanh(raw[j, 0])

@@ -169,17 +169,13 @@ class CompiledPolicy(SamplingPolicy):
             return super().sample(observation, mask, noise, two_sided)
         flags = np.zeros(mask.numel(), np.uint8) if two_sided is None else two_sided.reshape(-1).numpy().view(np.uint8)
         out, own = np.empty((4, mask.numel()), np.float32), self.arrays
-        compiled_mlp.act(
-            observation.reshape(-1, observation.shape[-1]).numpy(),
-            mask.reshape(-1, mask.shape[-1]).numpy().view(np.uint8),
-            *own.layers(),
-            own.activation,
-            self.spread,
-            self.bounds,
-            self.half_band,
-            flags,
-            noise.reshape(-1).numpy(),
-            out,
+        rows = observation.reshape(-1, observation.shape[-1]).numpy()
+        slots, draws = mask.reshape(-1, mask.shape[-1]).numpy().view(np.uint8), noise.reshape(-1).numpy()
+        network = *own.layers(), own.activation
+        how = self.spread, self.bounds, self.half_band
+        compiled_mlp.for_all(
+            len(slots),
+            lambda envs: compiled_mlp.act(rows, slots, envs.start, envs.stop, *network, *how, flags, draws, out),
         )
         return torch.from_numpy(out).view(4, *mask.shape)
 

@@ -211,7 +211,7 @@ class PartRun:
 
     def _is_done(self, job: Job) -> bool:
         trained = self.entries.get(job.entry, ("", None))[0] == "trained"
-        if trained and not self.trainer.runs.is_trained((job.entry, job.seed)):
+        if trained and not self.runs.is_trained((job.entry, job.seed)):
             return False
         if job.kind == "train":
             return True
@@ -228,7 +228,7 @@ class PartRun:
             config = self.configs[job.entry, job.seed]
             known = {"kind": kind, "algo": config.algo.name}
             if kind == "trained":
-                run_dir = self.trainer.runs.run_dir((job.entry, job.seed))
+                run_dir = self.runs.run_dir((job.entry, job.seed))
                 path = (checkpoint.best_of(run_dir) if entry.select == "best" else None) or checkpoint.find(run_dir)
                 given = run_folder.load_policy(path)
                 known |= {"source": os.path.relpath(path, self.folder), "frames": checkpoint.frames_of(path)}

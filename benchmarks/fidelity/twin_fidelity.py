@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from izoo.benchmarks.fidelity.driving_statistics import COUNTS, rates
 from izoo.benchmarks.fidelity.trajectory_diff import COUNTED
+from izoo.envs import SIMULATORS
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.files import replacing
 from izoo.metrics.figures import FIGURES
@@ -206,18 +207,27 @@ MEASURE_TITLES = {
     "start_up_lag_s": "start-up lag, s",
 }
 """Measures of :func:`driving` that are printed."""
+_ABOUT = "policy; CVs=adoption|.0%; demand; "
+COLUMNS = {
+    "few": "vehicles; commanded; episodes; same",
+    "exact": "policy; demand; lanes; n=episodes; same; parted at=median_parted|.0f; KS speed=ks_speed|.3f; "
+    "accel.=ks_accel|.3f",
+    "driving": "policy; demand; measure; SUMO=sumo; twin",
+    "co2": f"{_ABOUT}lanes; n=approaches; mean|d|=co2_mean_abs|.1%; median=co2_median_abs|.1%; bias=co2_bias|+.1%; "
+    "> 5 %=co2_wide; beyond=co2_beyond",
+    "delay": f"{_ABOUT}lanes; delay, s=delay_s|+.2f; crossed=crossed|+.1%",
+    "gains": f"{_ABOUT}SUMO=sumo|+.2f; twin|+.2f; points=difference|+.2f; SUMO's own=own|.2f",
+    "overall": "policy; n=approaches; CO2 mean|d|=co2_mean_abs|.1%; SUMO itself=co2_own|.1%; bias=co2_bias|+.1%; "
+    "delay, s=delay_s|+.2f; SUMO, %=sumo|+.1f; twin, %=twin|+.1f",
+}
+"""Columns of printed tables: ``heading=column|format``; the heading is that of the column where none is given."""
 
 
 def headline(compared: pd.DataFrame, gained: pd.DataFrame) -> Table:
     """Return a row per policy: how far CO2 and delay of its approaches are apart, and what it saves on either side."""
     saved = gained.groupby("policy")[["sumo", "twin"]].mean()
-    rows = []
-    for r in by_group(compared, ["policy"]).itertuples():
-        both = saved.loc[r.policy] if r.policy in saved.index else (None, None)
-        apart = (_share(r.co2_mean_abs), _share(r.co2_own), _share(r.co2_bias, "+"), _number(r.delay_s, "+.2f"))
-        rows.append((r.policy, r.approaches, *apart, *(_number(value, "+.1f") for value in both)))
-    columns = ("policy", "n", "CO2 mean|d|", "SUMO itself", "bias", "delay, s", "SUMO, %", "twin, %")
-    return Table.of("The twin against SUMO, per approach; CO2 saved over human driving on either", columns, rows)
+    title = "The twin against SUMO, per approach; CO2 saved over human driving on either"
+    return _table(title, by_group(compared, ["policy"]).join(saved, on="policy"), "overall")
 
 
 def verdict(compared: pd.DataFrame, gained: pd.DataFrame) -> str:
@@ -233,70 +243,36 @@ def tables(found: Mapping[str, pd.DataFrame]) -> list[Table]:
     """Return what was found (``few``, ``exact``, ``driving``, ``groups``, ``own``, ``gains``) as tables, from the
     closest look to the widest, those that hold anything.
     """
-    few_ = [(f"{r.vehicles}", "yes" if r.commanded else "no", r.episodes, r.same) for r in found["few"].itertuples()]
-    steps = [
-        (r.policy, r.demand, r.lanes, r.episodes, r.same, _number(r.median_parted, ".0f"), *_distances(r))
-        for r in found["exact"].itertuples()
-    ]
-    done = [
-        (r.policy, r.demand, MEASURE_TITLES[r.measure], *(_number(x, f",.{_digits(x)}f") for x in (r.sumo, r.twin)))
-        for r in found["driving"].itertuples()
-        if r.measure in MEASURE_TITLES
-    ]
+    done = found["driving"]
+    if len(done):
+        done = done[done["measure"].isin(MEASURE_TITLES)]
+        sides = {side: done[side].map(lambda x: _written(x, ",.0f" if x > 100.0 else ",.4g")) for side in SIMULATORS}
+        done = done.assign(measure=done["measure"].map(MEASURE_TITLES), **sides)
+    late = "SUMO with a late vehicle against SUMO"
     shown = [
-        Table.of("1. One and two vehicles alone, to 1e-6", ("vehicles", "commanded", "episodes", "the same"), few_),
-        Table.of(
-            "2. Every vehicle and step; distance of speeds and accelerations",
-            ("policy", "demand", "lanes", "n", "same", "parted at", "KS speed", "accel."),
-            steps,
-        ),
-        Table.of("3. What drivers did, summed over episodes", ("policy", "demand", "measure", "SUMO", "twin"), done),
-        *_aggregates("twin against SUMO", found["groups"]),
-        *_aggregates("SUMO with a late vehicle against SUMO", found["own"]),
-        Table.of(
-            "5. CO2 saved over human driving, %",
-            ("policy", "CVs", "demand", "SUMO", "twin", "points", "SUMO's own"),
-            [
-                (*_about(r)[:3], *(_number(x, "+.2f") for x in (r.sumo, r.twin, r.difference)), _number(r.own, ".2f"))
-                for r in found["gains"].itertuples()
-            ],
-        ),
+        _table("1. One and two vehicles alone, to 1e-6", found["few"], "few"),
+        _table("2. Every vehicle and step; distance of speeds and accelerations", found["exact"], "exact"),
+        _table("3. What drivers did, summed over episodes", done, "driving"),
+        _table("4. CO2 per vehicle, twin against SUMO", found["groups"], "co2"),
+        _table("4. Delay and vehicles, twin against SUMO", found["groups"], "delay"),
+        _table(f"4. CO2 per vehicle, {late}", found["own"], "co2"),
+        _table("5. CO2 saved over human driving, %", found["gains"], "gains"),
     ]
     return [table for table in shown if table.rows]
 
 
-def _aggregates(title: str, summed: pd.DataFrame) -> list[Table]:
-    co2, others = [], []
-    for r in summed.itertuples():
-        wide = f"{r.co2_wide}" + (f" ({r.co2_beyond})" if r.co2_beyond < r.co2_wide else "")
-        shares = _share(r.co2_mean_abs), _share(r.co2_median_abs), _share(r.co2_bias, "+"), _share(r.co2_worst)
-        co2.append((*_about(r), r.approaches, *shares, wide))
-        others.append((*_about(r), _number(r.delay_s, "+.2f"), _share(r.crossed, "+")))
-    about = ("policy", "CVs", "demand", "lanes")
-    return [
-        Table.of(f"4. CO2 per vehicle, {title}", (*about, "n", "mean|d|", "median", "bias", "worst", "> 5 %"), co2),
-        Table.of(f"4. Delay and vehicles, {title}", (*about, "delay, s", "crossed"), others),
-    ]
+def _table(title: str, frame: pd.DataFrame, kind: str) -> Table:
+    columns = []
+    for part in COLUMNS[kind].split("; "):
+        heading, _, column = part.rpartition("=")
+        column, _, form = column.partition("|")
+        columns.append((heading or column, column, form))
+    rows = [[_written(row[column], form) for _, column, form in columns] for row in frame.to_dict("records")]
+    return Table.of(title, (heading for heading, _, _ in columns), rows)
 
 
-def _about(row: Any) -> tuple[str, ...]:
-    return row.policy, f"{row.adoption:.0%}", row.demand, getattr(row, "lanes", "")
-
-
-def _distances(row: Any) -> list[str]:
-    return [_number(x, ".3f") for x in (row.ks_speed, row.ks_accel)]
-
-
-def _number(value: float | None, form: str) -> str:
-    return "" if value is None or np.isnan(value) else f"{value:{form}}"
-
-
-def _share(value: float, sign: str = "") -> str:
-    return _number(value, f"{sign}.1%")
-
-
-def _digits(value: float) -> int:
-    return 0 if np.isnan(value) or value == int(value) or value > 100.0 else 2
+def _written(value: Any, form: str) -> str:
+    return "" if value is None or value != value else f"{value:{form}}"
 
 
 def plot(table: pd.DataFrame, path: Path, title: str) -> None:

@@ -1,1 +1,1 @@
-"""What the speed benchmarks time."""
+"""What the speed benchmark times."""

@@ -7,7 +7,6 @@ import functools
 import itertools
 import weakref
 from bisect import bisect_right
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any
@@ -16,7 +15,6 @@ import numpy as np
 import torch
 
 from izoo.compiling import compiling_once
-from izoo.contexts.spec import IntersectionSpec
 from izoo.emissions.moves import MovesSurrogate
 from izoo.emissions.weights import load_weights
 from izoo.envs.backend import CLOSED, Play, clear_ended
@@ -27,13 +25,16 @@ from izoo.envs.twin.runtime.batch_step import conclude_all, drive_all, play_all
 from izoo.envs.twin.runtime.batched_emissions import GROUP, Emitter
 from izoo.envs.twin.runtime.episode_setup import Prepared, TwinRun, prepare
 from izoo.envs.twin.runtime.prefetch import PARTS_BYTES, no_ranges
+from izoo.envs.twin.runtime.preparers import Preparers
 from izoo.envs.twin.runtime.scratch import Desk
 from izoo.envs.twin.runtime.thread_pool import Crew
 from izoo.errors import IzooError, check_choice, check_whole
 from izoo.gpu import check_gpu
 from izoo.networks.clock import to_ms
-from izoo.networks.net.build import TOGETHER, build_nets
+from izoo.networks.net.build import build_nets
 
+CORES_FOR_PROCESSES, ENVS_FOR_PROCESSES = 4, 64
+"""From so many threads and environments on processes prepare the episodes: each takes a second to begin."""
 SURROGATES = ("torch", "cuda", "compiled")
 
 
@@ -57,8 +58,8 @@ class TwinBackend:
 
     Attributes:
         frames: the arrays ``[N, ...]`` that this backend writes.
-        played: called by each of several threads with its share of the environments, ``slice``, when it has written
-            their observations; ``None``: nobody asks.
+        played: called by each thread with its share of the environments, ``slice``, when it has written their frames,
+            and again with those whose frames have changed since; ``None``: nobody asks.
     """
 
     played: Callable[[slice], None] | None = None
@@ -86,13 +87,14 @@ class TwinBackend:
         self._emitters = [Emitter(module) for _ in self._shares]
         self._desks = [Desk() for _ in self._shares]
         self._ranges = [no_ranges() for _ in self._shares]
-        self._preparers_desk = Desk()
         self._ahead: dict[int, tuple[int, Future[Prepared]]] = {}
-        self._netless: deque[Callable[[], Play]] = deque()
+        self._expected = np.full(num_envs, -1)
         # Where several threads share the environments out, each does what torch does for its own share, alone.
         self._crew = Crew(self.threads, _use_one_torch_thread)
-        self._preparer = ThreadPoolExecutor(1, "izoo-prepare")
-        self._finalizer = weakref.finalize(self, _close, self._crew, self._preparer)
+        # One core steps, and those that it leaves idle in between do not suffice for many.
+        several = self.threads >= CORES_FOR_PROCESSES and num_envs >= ENVS_FOR_PROCESSES
+        self._preparers = Preparers(config, self.threads - 1 if several else 0)
+        self._finalizer = weakref.finalize(self, _close, self._crew, self._preparers)
 
     @property
     def started(self) -> bool:
@@ -117,35 +119,25 @@ class TwinBackend:
             return
         if known is not None:
             known[1].cancel()
-        self._netless.append(play)
-        self._ahead[index] = number, self._preparer.submit(self._prepare_ahead, play)
+        self._ahead[index] = number, self._preparers.submit(play)
+        self._expected[index] = number
 
-    def _prepare_ahead(self, play: Callable[[], Play]) -> Prepared:
-        """Prepare an episode, after the nets of all that wait for theirs."""
-        waiting: list[IntersectionSpec] = []
-        with contextlib.suppress(IndexError):
-            while len(waiting) < TOGETHER:
-                later = self._netless.popleft()
-                with contextlib.suppress(Exception):  # raised again where that episode is prepared
-                    waiting.append(later().context.intersection)
-        with contextlib.suppress(IzooError):
-            build_nets(waiting)
-        return prepare(self.config, play(), self._preparers_desk)
+    def unexpected(self, numbers: np.ndarray) -> list[int]:
+        """Return the environments whose next episode, by its number ``[N]``, is not the one that is prepared ahead."""
+        return np.flatnonzero(self._expected != numbers).tolist()
 
     def forget_ahead(self) -> None:
         """Forget the episodes that are prepared ahead or are to be: they are prepared when their turn comes."""
         waiting = [future for _, future in self._ahead.values() if not future.cancel()]
         self._ahead.clear()
-        self._netless = deque()
+        self._expected[:] = -1
         wait(waiting)
 
     def begin(self, plays: Mapping[int, Play]) -> None:
         """Begin episodes in some environments, and write their first frames."""
         if self.closed:
             raise IzooError(CLOSED)
-        ready = {index for index, (_, future) in self._ahead.items() if future.done()}
-        with contextlib.suppress(IzooError):  # raised again where that episode is prepared
-            build_nets([play.context.intersection for index, play in plays.items() if index not in ready])
+        self._prepare_now(plays)
         with compiling_once(play_all if self.surrogate == "compiled" else drive_all):
             for index, play in plays.items():
                 self._runs[index] = None
@@ -155,6 +147,20 @@ class TwinBackend:
                 self._runs[index] = run
                 self._most_vehicles = max(self._most_vehicles, len(prepared.traffic))
                 self._addresses[index], self._left[index] = run.addresses, self.config.total_steps
+
+    def _prepare_now(self, plays: Mapping[int, Play]) -> None:
+        """Let processes prepare what is not ready, where there are some; or else build the nets together."""
+        absent = {index: play for index, play in plays.items() if not self._is_ready(index, play.number)}
+        if self._preparers.processes and len(absent) >= ENVS_FOR_PROCESSES:
+            for index, play in absent.items():
+                self.expect(index, play.number, functools.partial(_same, play))
+            return
+        with contextlib.suppress(IzooError):  # raised again where that episode is prepared
+            build_nets([play.context.intersection for play in absent.values()])
+
+    def _is_ready(self, index: int, number: int) -> bool:
+        known, future = self._ahead.get(index, (-1, None))
+        return future is not None and known == number and future.done()
 
     def pack(self) -> list[np.ndarray]:
         """Return the state of every environment as compressed bytes, uint8."""
@@ -192,6 +198,7 @@ class TwinBackend:
     def _take(self, index: int, play: Play, desk: Desk) -> Prepared:
         """Return an episode ready to be played: the one that was prepared ahead, if it is that."""
         number, future = self._ahead.pop(index, (-1, None))
+        self._expected[index] = -1
         if future is not None and not future.cancel() and number == play.number:
             prepared = future.result()
             if prepared.play == play:
@@ -214,6 +221,7 @@ class TwinBackend:
                 run.end_step()
                 if run.episode.over:
                     self._left[index] = 0
+                self._taken(slice(index, index + 1))
         return ()
 
     def _until_horizon_or_end(self) -> np.ndarray:
@@ -271,16 +279,22 @@ class TwinBackend:
         With ``until_due``, so many at most: each plays on until one of its CVs is to decide.
         """
         like = self._run(0).episode.world
-        with _one_torch_thread(self.threads > 1):
-            self._crew.work(lambda thread: self._play_share(thread, steps, until_due, like), meanwhile)
+        self._crew.work(lambda thread: self._play_share(thread, steps, until_due, like), meanwhile)
         self._left -= steps
 
     def _play_share(self, thread: int, steps: np.ndarray, until_due: bool, like: Any) -> None:
         """Simulate a thread's share of the environments, whose working memory is on its desk."""
         share = self._shares[thread]
         self._drive_share(share, steps[share], until_due, self._emitters[thread], self._ranges[thread], like)
-        if self.played is not None and self.threads > 1:
-            self.played(share)
+        self._taken(share)
+
+    def _taken(self, rows: slice) -> None:
+        if self.played is not None:
+            self.played(rows)
+
+    def share_out(self, task: Callable[[slice], object]) -> None:
+        """Call ``task`` with each thread's share of the environments, all threads side by side."""
+        self._crew.work(lambda thread: task(self._shares[thread]))
 
     def _drive_share(
         self, share: slice, steps: np.ndarray, until_due: bool, emitter: Emitter, ranges: np.ndarray, like: Any
@@ -327,27 +341,13 @@ def _same(play: Play) -> Play:
     return play
 
 
-@contextlib.contextmanager
-def _one_torch_thread(wanted: bool) -> Iterator[None]:
-    """Let torch's operations of this thread run in it alone, where ``wanted``: other threads do their own."""
-    count = torch.get_num_threads()
-    if not wanted or count == 1:
-        yield
-        return
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(count)
-
-
 def _use_one_torch_thread() -> None:
     """Begin a thread of the pool: torch keeps the number of threads of each thread of Python by itself."""
     torch.set_num_threads(1)
 
 
-def _close(crew: Crew, preparer: ThreadPoolExecutor) -> None:
-    preparer.shutdown(cancel_futures=True)
+def _close(crew: Crew, preparers: Preparers) -> None:
+    preparers.close()
     crew.close()
 
 

@@ -1,4 +1,1 @@
-"""Options of the commands: frozen dataclasses, and the Hydra YAML groups beside them.
-
-``compose`` turns command-line words into a validated dataclass; ``build`` converts between mappings and dataclasses.
-"""
+"""Options of the commands: frozen dataclasses, the choices of their groups, and what converts them from and to YAML."""

@@ -5,5 +5,5 @@
 - :mod:`.features`: every context feature, declared once; :mod:`.distributions`: how features are drawn;
 - :mod:`.procedural`: four-leg worlds from a few numbers;
 - :mod:`.cities`: the ten built-in cities, their features, shapes, signal plans and weather; :mod:`.movements`: turns;
-- :mod:`.catalogue`: 1,306,720 scenarios by id; :mod:`.splits` and :mod:`.protocols`: what to train and test on.
+- :mod:`.catalogue`: 1,306,720 scenarios by id; :mod:`.splits`: what is held out.
 """

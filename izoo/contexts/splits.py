@@ -1,4 +1,4 @@
-"""Train, validation and test sets of the protocols. Nothing on this page may ever change.
+"""What is held out for validation and tests. Nothing on this page may ever change.
 
 Intersections are ordered by a hash of a constant and their name, so a split depends on neither NumPy nor the platform;
 the first tenth is the test set, the second the validation set, the rest the training set.
@@ -11,7 +11,7 @@ import hashlib
 from collections.abc import Sequence
 from typing import Literal
 
-from izoo.contexts.cities.rebuilt import CITIES, SIZES, city_name
+from izoo.contexts.cities.rebuilt import SIZES, city_name
 from izoo.errors import IzooError, check_choice
 
 SPLITS = ("train", "validation", "test")
@@ -20,10 +20,6 @@ SPLIT_KEY = "izoo-split-1"
 """Published constant."""
 HELD_OUT_SHARE = 0.1
 """Share of the intersections in the test set, and in the validation set."""
-PAPER_PAIR = ("salt_lake_city", "atlanta")
-"""Training and test city of the paper's productivity protocol."""
-OOD_PAIRS = tuple((train, test) for train in CITIES for test in CITIES if train != test)
-"""All pairs of a training and a test city."""
 
 
 def split_names(names: Sequence[str]) -> dict[str, tuple[str, ...]]:

@@ -41,7 +41,7 @@ HELP_COLUMNS = "100"
 def modules() -> dict[str, Any]:
     """Return the modules that ``python -m`` runs, by the name that it takes."""
     names = ["izoo.train", "izoo.evaluate", "izoo.collect", "izoo.report.__main__"]
-    names += ["izoo.contexts.__main__", "izoo.drivers.__main__"]
+    names += ["izoo.contexts.__main__", "izoo.drivers.__main__", "izoo.benchmarks.campaign.__main__"]
     for package in ("izoo", "izoo.benchmarks"):
         path = importlib.import_module(package).__path__
         names += [f"{package}.{module.name}" for module in pkgutil.iter_modules(path) if not module.ispkg]

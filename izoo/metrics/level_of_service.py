@@ -14,11 +14,11 @@ import math
 
 import pandas as pd
 
-from izoo.envs.mdp.metric_sums import MOVEMENT_METRICS, MOVEMENTS
-
 MOST_DELAY_S = {"A": 10.0, "B": 20.0, "C": 35.0, "D": 55.0, "E": 80.0, "F": math.inf}
 """Levels, and up to which control delay each goes, s per vehicle."""
 _DELAYS = {"delay_s": "region_delay_s", "blocked_s": "blocked_s"}
+MOVEMENTS = ("right", "straight", "left")
+_SUMS = ("cohort", "cohort_region_delay_s", "cohort_blocked_s", "queue", "queue_max")
 PLACE = ["intersection", "approach", "movement"]
 
 
@@ -39,13 +39,11 @@ def by_movement(table: pd.DataFrame, policy: str) -> pd.DataFrame:
         vehicles that stood before the line at once) and ``queue`` (those that stood there at the horizon), mean over
         episodes, and ``volume_over_capacity`` of the approach. Empty where the rows have no sums by movement.
     """
-    rows = table[table["policy"] == policy].dropna(subset=list(MOVEMENT_METRICS))
-    parts = []
+    rows, parts = table[table["policy"] == policy], []
     for movement in MOVEMENTS:
-        names = {f"{movement}_{name}": name for name in ("cohort", "cohort_region_delay_s", "cohort_blocked_s")}
-        names |= {f"{movement}_queue": "queue", f"{movement}_queue_max": "queue_max"}
-        part = rows[["intersection", "approach", "volume_over_capacity", *names]].rename(columns=names)
-        parts.append(part.assign(movement=movement))
+        names = {f"{movement}_{name}": name for name in _SUMS}
+        part = rows[["intersection", "approach", "volume_over_capacity", *names]].dropna(subset=list(names))
+        parts.append(part.rename(columns=names).assign(movement=movement))
     means = pd.concat(parts).groupby(PLACE, sort=False).mean().sort_index(level=[0, 1], sort_remaining=False)
     means = means[means["cohort"] > 0.0]
     vehicles = means.pop("cohort")

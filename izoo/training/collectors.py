@@ -20,6 +20,7 @@ from izoo.contexts.source import Schedule
 from izoo.envs import simulator_of
 from izoo.results import ray_cluster
 from izoo.training.batch_size import frames_per_batch, num_envs
+from izoo.training.batches_in_place import BatchesInPlace
 from izoo.training.command_replay import EpisodeHistory
 from izoo.training.environments import TrainingBatchEnv, TrainingEnv, random_phases, training_class
 from izoo.training.process_collector import ProcessCollector, process_collector, worker_envs
@@ -36,6 +37,9 @@ class BatchSource:
             is stepped in a process.
         left_at: where environments side by side stood (:meth:`environments`).
         keeps: the keys that batches of environments side by side hold; ``None``: all that there are.
+
+    Attributes:
+        batched: the batches of environments that are stepped side by side in this process; ``None``: they are not.
     """
 
     def __init__(
@@ -49,39 +53,44 @@ class BatchSource:
     ) -> None:
         frames = frames_per_batch(config)
         simulator = simulator_of(config.simulator)
-        self._batched: TrainingBatchEnv | None = None
+        self.batched: BatchesInPlace | None = None
+        self._collector: BaseCollector | None = None
         self._saves = simulator.saves
         with workers_ignore_interrupts():
             if simulator.batched:
-                self._batched = _side_by_side(config, schedule, left_at, keeps)
-                # TorchRL's buffers are made for whole steps; here the observations come for a whole batch.
-                self._collector: BaseCollector = in_process(self._batched, policy, frames, use_buffers=False)
-            elif config.collector.name in _APART:
+                env = _side_by_side(config, schedule, left_at, keeps)
+                self.batched = BatchesInPlace(env, policy, frames // num_envs(config))
+                return
+            if config.collector.name in _APART:
                 self._collector = _APART[config.collector.name](config, policy, schedule, histories, frames)
             else:
                 self._collector = in_process(_by_process(config, schedule, histories), policy, frames)
-        self._batches: Iterator[TensorDictBase] = iter(self._collector)
+            self._batches: Iterator[TensorDictBase] = iter(self._collector)
 
     def next(self) -> TensorDictBase:
         """Return the next batch ``[N, T]``, which is valid until the one after it."""
+        if self.batched is not None:
+            return self.batched.next()
         batch = next(self._batches).copy().exclude("collector")  # what is set in the copy is not there next time
-        if self._batched is not None:
-            return self._batched.complete(batch)
         return batch if batch.ndim == 2 else batch.unsqueeze(0)
 
     def synchronise(self, policy: TensorDictModuleBase) -> None:
         """Hand changed parameters to collectors that run the policy in other processes."""
         if isinstance(self._collector, ProcessCollector):
             self._collector.hand_over(policy)
-        elif not isinstance(self._collector, Collector):
+        elif self._collector is not None and not isinstance(self._collector, Collector):
             self._collector.update_policy_weights_(policy)
 
     def environments(self) -> dict[str, Any]:
         """Return where the environments stand after the last batch; nothing where they cannot be saved."""
-        return self._batched.state_dict() if self._batched is not None and self._saves else {}
+        return self.batched.env.state_dict() if self.batched is not None and self._saves else {}
 
     def close(self) -> None:
         """Stop the workers; there are no batches any more."""
+        if self.batched is not None:
+            self.batched.env.close()
+        if self._collector is None:
+            return
         self._collector.shutdown()
         del self._collector, self._batches
         # TorchRL's parts that hold each other would otherwise be cleaned up when the interpreter ends, and wait there
@@ -112,11 +121,10 @@ def _side_by_side(
         state=state,
         phases=random_phases(count, config.env.decisions, config.seed) if config.staggered else None,
         keeps=keeps,
-        batch_steps=frames_per_batch(config) // count,
     )
 
 
-def in_process(env: EnvBase, policy: TensorDictModuleBase, frames: int, use_buffers: bool = True) -> Collector:
+def in_process(env: EnvBase, policy: TensorDictModuleBase, frames: int) -> Collector:
     """Return a collector of ``frames`` steps per batch from an environment in this process."""
     return Collector(
         env,
@@ -125,7 +133,6 @@ def in_process(env: EnvBase, policy: TensorDictModuleBase, frames: int, use_buff
         total_frames=-1,
         exploration_type=ExplorationType.RANDOM,
         return_same_td=True,
-        use_buffers=use_buffers,
         track_traj_ids=False,
         trust_policy=True,
         auto_register_policy_transforms=False,

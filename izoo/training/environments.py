@@ -16,21 +16,18 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
-from izoo.algos.learners.base import OBSERVATION, Keys
+from izoo.algos.learners.base import Keys
 from izoo.algos.networks import fleet_features
 from izoo.envs import simulator_of
 from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv
 from izoo.envs.mdp.frame import TOTALS
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
-from izoo.envs.observation_buffer import Tape
 from izoo.imports import imported
 from izoo.training import command_replay
 from izoo.training.prioritized_level_replay import PrioritizedLevelReplay
 
 NUMBERS = "context_ids"
 """Array ``[3]`` int64: the number of the episode, the context's id or -1, the seed; where environments are batched."""
-OBSERVATIONS = (OBSERVATION, ("next", *OBSERVATION))
-"""Keys of what a step acts on and of what it leads to."""
 
 
 class _Training(EcoDrivingBase):
@@ -48,7 +45,7 @@ class _Training(EcoDrivingBase):
 
     def __init__(self, *args: Any, histories: Sequence[command_replay.EpisodeHistory] = (), **options: Any) -> None:
         super().__init__(*args, **options)
-        self._pasts = tuple(histories)
+        self._histories = tuple(histories)
         self.observation_spec[TOTALS] = Unbounded(self.reader.tensors[TOTALS].shape)
         if "vehicles" in self.config.emit:
             self.reader.vehicle_names = fleet_features.COLUMNS
@@ -64,10 +61,10 @@ class _Training(EcoDrivingBase):
         return stepped
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
-        histories, self._pasts = self._pasts, ()
-        return self._relive(histories) if histories else super()._reset(tensordict, **options)
+        histories, self._histories = self._histories, ()
+        return self._replay(histories) if histories else super()._reset(tensordict, **options)
 
-    def _relive(self, histories: Sequence[command_replay.EpisodeHistory]) -> TensorDictBase:
+    def _replay(self, histories: Sequence[command_replay.EpisodeHistory]) -> TensorDictBase:
         """Play episodes up to where they stood; all get there at the same time.
 
         Until a shorter one begins, its environment plays a part of the same episode that is then forgotten.
@@ -111,9 +108,7 @@ class TrainingBatchEnv(_Training):
     """Environments that step side by side in this process, with :data:`TOTALS` and :data:`NUMBERS`.
 
     Args:
-        keeps: keys of a step that are handed on when it is over; ``None``: all. The policy sees everything.
-        batch_steps: ``T`` of the batches that are collected: where all is kept, observations are then handed on for a
-            whole batch (:meth:`complete`), not with every step.
+        keeps: keys of a step that a batch needs; ``None``: all. The policy sees everything.
         state: of a run that goes on (:meth:`~izoo.envs.TwinEnv.state_dict`); the first reset returns to it.
         phases: ``[N]`` uncommanded decisions at the beginning of each environment's first episode; ``None``:
             episodes begin, and so end, together.
@@ -127,36 +122,12 @@ class TrainingBatchEnv(_Training):
         state: Mapping[str, Any] | None = None,
         phases: Sequence[int] | None = None,
         keeps: Keys | None = None,
-        batch_steps: int | None = None,
         **options: Any,
     ) -> None:
         super().__init__(*args, **options)
         self._left_at, self._phases = state, phases
-        self._keeps, self._tape = keeps, None
-        if batch_steps is not None and keeps is None:
-            self._tape = Tape(batch_steps, self.frames["observation"], self.frames["mask"])
-            self.reader.observations = self._tape
+        self.keeps = keeps
         self.observation_spec[NUMBERS] = Unbounded(self.reader.tensors[NUMBERS].shape, dtype=torch.int64)
-
-    def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
-        """Step as the environment does; what need not be kept is not."""
-        stepped, state = super().step_and_maybe_reset(tensordict)
-        if self._keeps is not None:
-            return stepped.select(*self._keeps, inplace=True), state
-        if self._tape is not None:
-            for frame in (stepped, stepped["next"]):
-                frame["agents"].del_("observation")
-        return stepped, state
-
-    def complete(self, batch: TensorDictBase) -> TensorDictBase:
-        """Add the observations to a batch ``[N, T]`` of the last ``batch_steps`` steps, where all is kept.
-
-        The next step is written over them.
-        """
-        if self._tape is not None:
-            for key, observation in zip(OBSERVATIONS, self._tape.batch(), strict=True):
-                batch.set(key, observation)
-        return batch
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
         state, phases = self._left_at, self._phases

@@ -31,8 +31,8 @@ def check_options(config: TrainConfig) -> None:
     policies, envs = config.algo.candidates, num_envs(config)
     if policies > 1 and (not simulator.batched or envs % policies or config.env.reward.eta != 1.0):
         raise IzooError(
-            f"algo={config.algo.name} lets {policies} policies play the same episodes side by side and compares what "
-            f"their teams are paid, but simulator is {config.simulator}, num_envs {envs} and env.reward.eta "
+            f"algo={config.algo.name} lets {policies} policies play the same episodes side by side and compares "
+            f"their teams' rewards, but simulator is {config.simulator}, num_envs {envs} and env.reward.eta "
             f"{config.env.reward.eta:g}; choose simulator=twin, a multiple of {policies} for num_envs, and "
             "env.reward=fuel_team or env.reward.eta=1."
         )

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import re
-import zipfile
 from pathlib import Path
 
 from izoo.errors import IzooError, unknown_choice
-from izoo.files import expanded, os_reason
+from izoo.files import expanded
 
 PREFIX = "zoo:"
 """``policy=zoo:NAME`` means the shipped policy ``NAME``."""
@@ -15,8 +13,6 @@ SHELF = Path(__file__).parent / "policies"
 WEIGHTS, CARD = ".pt", ".md"
 EXPORT = "python -m izoo.zoo export"
 """The command that writes the policy of a run as a file."""
-HEAD_BYTES = 4096
-"""How much is read of what a file says it holds; its format comes first there."""
 
 
 def names() -> tuple[str, ...]:
@@ -37,16 +33,18 @@ def named(policy: str) -> str | None:
     ``None`` where ``policy`` is written otherwise, or is a checkpoint of a run.
 
     Raises:
-        IzooError: no policy of that name ships, or the file is missing, damaged or something else.
+        IzooError: no policy of that name ships, or the file is missing.
     """
     if policy.startswith(PREFIX):
         name = policy.removeprefix(PREFIX)
         check_name(name)
         return name
     path = expanded(policy)
-    if path.suffix != WEIGHTS or path.is_dir():
+    if path.suffix != WEIGHTS or path.is_dir() or _is_checkpoint(path):
         return None
-    return None if _is_checkpoint(path) else str(path)
+    if not path.is_file():
+        raise IzooError(f"there is no file {path}; give one that {EXPORT} wrote.")
+    return str(path)
 
 
 def absolute(policy: str) -> str:
@@ -66,21 +64,8 @@ def check_exported(policy: str) -> None:
 
 
 def _is_checkpoint(path: Path) -> bool:
-    """Whether a file of izoo is a checkpoint rather than a policy; it is not loaded."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            (part,) = (name for name in archive.namelist() if name.rpartition("/")[2] == "data.pkl")
-            with archive.open(part) as content:
-                kind = re.search(rb"izoo-(policy|checkpoint)-", content.read(HEAD_BYTES))
-    except FileNotFoundError:
-        raise IzooError(f"there is no file {path}; give one that {EXPORT} wrote.") from None
-    except OSError as error:
-        raise IzooError(f"cannot read {path}: {os_reason(error)}; give a file that {EXPORT} wrote.") from error
-    except Exception as error:  # what damaged bytes raise depends on the bytes
-        raise IzooError(f"{path} is cut short or not a policy; give a file that {EXPORT} wrote.") from error
-    if kind is None:
-        raise IzooError(f"{path} is not a policy; give a file that {EXPORT} wrote.")
-    return kind[1] == b"checkpoint"
+    """Whether a file lies where runs keep their checkpoints."""
+    return path.parent.name == "checkpoints"
 
 
 def weights(name: str) -> Path:

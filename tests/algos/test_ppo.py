@@ -8,6 +8,8 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos.learners import base
+from izoo.algos.learners.graph_ppo import GCRL, GCRLConfig
+from izoo.algos.learners.mappo import MAPPO, MAPPOConfig
 from izoo.algos.learners.ppo import PPO, PPOConfig
 from izoo.algos.networks.gaussian import SamplingPolicy
 from tests.algos.frames import FEATURES, HIGH, LOW, make_frames
@@ -22,6 +24,28 @@ def act(ppo: PPO, batch: TensorDict, seed: int = 1) -> TensorDict:
     torch.manual_seed(seed)
     with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
         return ppo.policy(batch)
+
+
+@pytest.mark.parametrize(("algorithm", "config"), [(PPO, PPOConfig), (MAPPO, MAPPOConfig), (GCRL, GCRLConfig)])
+def test_observations_are_standardised_as_in_the_first_batch(algorithm: type[PPO], config: type[PPOConfig]) -> None:
+    torch.manual_seed(3)
+    options = config(hidden=(8,), standardise=True, epochs=1, lr=1e-12)
+    ppo, batch = algorithm(options, FEATURES, LOW, HIGH), make_frames()
+    batch[base.OBSERVATION].mul_(0.01).add_(3.0)[..., 1] = 7.0
+    rows = batch[base.OBSERVATION][batch[base.MASK]]
+    ppo.update(act(ppo, batch), 0.0)
+    modules = [m for m in (*ppo.policy.modules(), *ppo.critic.modules()) if isinstance(m, base.Standardise)]
+    assert len(modules) == 2
+    for module in modules:
+        seen = module(rows)
+        torch.testing.assert_close(seen.mean(0), torch.zeros(FEATURES), atol=1e-3, rtol=0.0)
+        assert seen.std(0)[[0, 2, 3, 4]].numpy() == pytest.approx(1.0, abs=0.02)
+    later = make_frames(seed=1)
+    ppo.update(act(ppo, later), 0.5)
+    torch.testing.assert_close(modules[0].mean, rows.mean(0))
+    other = algorithm(options, FEATURES, LOW, HIGH)
+    other.load_state_dict(ppo.state_dict())
+    torch.testing.assert_close(act(other, later)[base.ACTION], act(ppo, later)[base.ACTION])
 
 
 def test_fast_policy_is_the_actors_distribution() -> None:

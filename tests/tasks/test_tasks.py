@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from izoo import tasks
 from izoo.contexts.cities.rebuilt import CITIES
+from izoo.contexts.cities.weather import WEATHER_PUBLISHED, weather
 from izoo.contexts.procedural import SYSTEMATICITY_TEST
 from izoo.envs import EnvConfig, RewardConfig
 from izoo.errors import IzooError
@@ -38,11 +40,18 @@ def test_a_city_is_trained_on_and_tested_on_other_intersections(city: str) -> No
     roles = [task.train.build(), task.validation.build(), task.test.build()]
     towns = [{source.locate(index)[0].intersection for index in range(len(source))} for source in roles]
     assert not (towns[0] & towns[1] or towns[0] & towns[2] or towns[1] & towns[2])
+    context = roles[2][0]
+    assert (context.adoption, context.hour, context.engine) == (1 / 3, "peak", "combustion")
+    assert context.approach is not None
+    assert (context.temperature_c, context.humidity_pct) == WEATHER_PUBLISHED.get(city, weather(city, "summer"))
 
 
 def test_systematicity_is_tested_inside_a_box_that_training_excludes() -> None:
     hashes = {context.content_hash for context in SYSTEMATICITY_TEST}
-    assert {context.content_hash for context in tasks.make("systematicity").test_set()} <= hashes
+    task = tasks.make("systematicity")
+    assert {context.content_hash for context in task.test_set()} <= hashes and len(hashes) == 128
+    drawn = [task.train.build().sample(np.random.default_rng(seed)) for seed in range(100)]
+    assert not hashes & {context.content_hash for context in drawn}
 
 
 def test_the_paper_form_has_the_papers_decisions_and_reward_and_every_intersection() -> None:

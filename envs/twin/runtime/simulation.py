@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from izoo.envs.twin.driving.step import new_state, step
@@ -23,7 +25,7 @@ from izoo.envs.twin.runtime.layout import (
     TwinTraffic,
 )
 from izoo.envs.twin.runtime.prefetch import no_ranges
-from izoo.envs.twin.runtime.scratch import Desk
+from izoo.envs.twin.runtime.scratch import Desk, zeros
 
 
 class TwinEpisode:
@@ -41,9 +43,28 @@ class TwinEpisode:
     def __init__(self, net: TwinNet, traffic: TwinTraffic, step_ms: int = 500, desk: Desk | None = None) -> None:
         self.net, self.traffic, self.step_ms = net, traffic, step_ms
         self.state: TwinState = new_state(net, traffic, desk)
-        pairs = ((net, NET), (traffic, TRAFFIC), (self.state, STATE))
+        self._find()
+
+    def _find(self) -> None:
+        """Note where the arrays are."""
+        pairs = ((self.net, NET), (self.traffic, TRAFFIC), (self.state, STATE))
         self._directories = [directory(tables, kind) for tables, kind in pairs]
         self.addresses = [words.ctypes.data for words in self._directories]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what another process needs: working memory and addresses are of one alone."""
+        lasting = {name: array for name, array in self.state._asdict().items() if name not in WORKING}
+        working = {name: getattr(self.state, name).shape for name in WORKING}
+        return {"net": self.net, "traffic": self.traffic, "step_ms": self.step_ms, "state": (lasting, working)}
+
+    def __setstate__(self, given: dict[str, Any]) -> None:
+        self.net, self.traffic, self.step_ms = given["net"], given["traffic"], given["step_ms"]
+        lasting, working = given["state"]
+        own = zeros(STATE, {name: array.shape for name, array in lasting.items()})
+        for name, array in lasting.items():
+            own[name][:] = array
+        self.state = TwinState(**own, **Desk().spread(STATE, working))
+        self._find()
 
     def move_to(self, desk: Desk) -> None:
         """Use the working memory of another thread from now on."""

@@ -1,0 +1,175 @@
+"""How fast izoo is on this machine: ``python -m izoo.benchmarks.speed``, or ``python benchmarks/speed.py --machine``.
+
+Rows of the twin are measured beside bare libsumo, on the same nets and demand, in one run: stepping, stepping with a
+policy, training, the start, and CO2 alone. Each is timed for the same few seconds. Where SUMO is not installed, its
+rows are left out, and nets come from the cache.
+
+``serial`` is the processor time of the main thread in a step of all environments that no number of threads shrinks: all
+that it does beyond its own share of what threads do side by side. ``most`` is the speed-up over one core that this
+allows on 16 (Amdahl's law).
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+from izoo.cli.option_command import OptionCommand
+from izoo.console import Progress
+from izoo.cores import usable_cores
+from izoo.errors import check_range
+
+if TYPE_CHECKING:
+    from izoo.benchmarks.timing.rows import Row
+
+RowName = Literal["sumo", "twin", "policy", "training", "start", "emissions"]
+GROUPS = ("vehicles", "signal", "context", "metrics")
+
+
+@dataclass(frozen=True)
+class SpeedConfig:
+    """Options of the speed benchmark.
+
+    Attributes:
+        rows: what is measured.
+        scenario: the traffic; ``two_lanes`` has some 30 vehicles, ``light``, ``medium`` and ``heavy`` 20, 60 and 190.
+        envs: environments on the twin; the last is also measured with a policy and in training.
+        threads: threads of the twin; empty: one, and one per core.
+        surrogate: what computes CO2 on the twin.
+        workers: processes of SUMO.
+        starting: environments whose start is measured, each with a net of its own.
+        device: of the learner.
+        seconds: how long each row is timed.
+        machine: measure what describes a machine, in some ten minutes: more environments and threads, and a start of
+            2,048; also written ``--machine``.
+    """
+
+    rows: tuple[RowName, ...] = ("sumo", "twin", "policy", "training", "start", "emissions")
+    scenario: Literal["two_lanes", "light", "medium", "heavy"] = "two_lanes"
+    envs: tuple[int, ...] = (64, 512)
+    threads: tuple[int, ...] = ()
+    surrogate: Literal["torch", "cuda", "compiled"] = "compiled"
+    workers: int = 2
+    starting: int = 64
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    seconds: float = 3.0
+    machine: bool = False
+
+    def __post_init__(self) -> None:
+        for count in self.envs:
+            check_range("envs", count, 1, 65536)
+        for count in self.threads:
+            check_range("threads", count, 1, 1024)
+        check_range("workers", self.workers, 1, 1024)
+        check_range("starting", self.starting, 1, 65536)
+        check_range("seconds", self.seconds, 0.01, 600.0)
+
+
+def whole_machine(config: SpeedConfig) -> SpeedConfig:
+    """Return the options that describe a machine."""
+    cores = usable_cores()
+    threads = tuple(count for count in (1, 2, 4, 8, 16, 32, 64) if count < cores)
+    return replace(config, envs=(64, 4096, 512), threads=(*threads, cores), workers=min(cores, 16), starting=2048)
+
+
+def plan(config: SpeedConfig) -> Iterator[tuple[str, Callable[[], list[Row]]]]:
+    """Yield what each row is called and what measures it, in order."""
+    from izoo.benchmarks.timing import rows
+
+    context, seconds, surrogate = rows.scenarios()[config.scenario], config.seconds, config.surrogate
+    threads = config.threads or tuple(dict.fromkeys((1, usable_cores())))
+    most, last = max(threads), config.envs[-1]
+    if "sumo" in config.rows and importlib.util.find_spec("libsumo"):
+        yield "bare libsumo", lambda: [rows.bare_sumo(context, seconds)]
+        yield "one environment on SUMO", lambda: [rows.one_on_sumo(context, seconds)]
+        for name in ("parallel", "multisync"):
+            yield (
+                f"{config.workers} workers, {name}",
+                lambda name=name: [rows.workers_on_sumo(context, seconds, name, config.workers)],
+            )
+    if "twin" in config.rows:
+        for envs in config.envs:
+            for count in (count for count in threads if count <= envs):
+                how = envs, count
+                yield (
+                    f"twin, {envs} x {count}",
+                    lambda how=how: [
+                        rows.backend_alone(context, seconds, *how, surrogate),
+                        *(rows.stepping(context, seconds, *how, emit, surrogate) for emit in ((), GROUPS)),
+                    ],
+                )
+    if "policy" in config.rows:
+        yield "policy", lambda: [rows.with_policy(context, seconds, last, min(most, last), surrogate)]
+    if "training" in config.rows:
+        how = last, min(most, last), surrogate
+        yield "training", lambda: [rows.training(context, 2.0 * seconds, *how, config.device)]
+    if "start" in config.rows and importlib.util.find_spec("sumo"):
+        yield "start", lambda: [rows.start(config.starting, min(most, config.starting), surrogate)]
+    if "emissions" in config.rows:
+        yield "CO2", lambda: rows.emissions(seconds)
+
+
+def print_table(rows: Sequence[Row]) -> None:
+    """Print the rows."""
+    from izoo.report.tables import Table
+
+    bare = next((row.env_steps_per_s for row in rows if row.name == "bare libsumo"), None)
+    lines = []
+    for row in rows:
+        found = row.timed
+        lines.append(
+            (
+                row.name,
+                f"{row.env_steps_per_s:,.0f}" if row.env_steps_per_s else "",
+                f"{row.env_steps_per_s / bare:.2f}" if bare and found else "",
+                "" if row.agent_steps_per_s is None else f"{row.agent_steps_per_s:,.0f}",
+                "" if row.vehicles is None else f"{row.vehicles:.0f}",
+                f"{1e6 * found.serial_s:,.0f}" if found and found.shared_s else "",
+                f"{100.0 * found.serial_share:.1f}" if found and found.shared_s else "",
+                f"{found.most:.1f}" if found and found.shared_s else "",
+                row.note,
+            )
+        )
+    columns = "row", "env\nsteps/s", "to\nbare", "CV\nsteps/s", "vehi-\ncles", "serial\nus", "serial\n%", "most", ""
+    Table.of("speed", columns, lines).show()
+
+
+def run(config: SpeedConfig, given: frozenset[str] = frozenset()) -> list[Row]:
+    """Measure, with a bar on the error stream meanwhile, and print the table."""
+    print("Loading torch and the simulators.", flush=True)
+    config = whole_machine(config) if config.machine else config
+    todo = list(plan(config))
+    found: list[Row] = []
+    with Progress(len(todo), unit="rows", file=sys.stderr) as bar:
+        for number, (name, measure) in enumerate(todo):
+            bar.update(number, name)
+            found += measure()
+        bar.update(len(todo), "done")
+    print_table(found)
+    return found
+
+
+COMMAND = OptionCommand(
+    name="benchmarks.speed",
+    summary="Measure how fast this machine steps, acts, trains and starts, beside bare libsumo.",
+    examples=(
+        "izoo.benchmarks.speed",
+        "izoo.benchmarks.speed rows=[twin] envs=[512]",
+        "izoo.benchmarks.speed machine=true",
+    ),
+    config="izoo.benchmarks.speed:SpeedConfig",
+    work="izoo.benchmarks.speed:run",
+)
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command; ``--machine`` stands for ``machine=true``."""
+    given = sys.argv[1:] if words is None else words
+    return COMMAND.main(["machine=true" if word == "--machine" else word for word in given])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
