@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -37,7 +38,7 @@ SHORT = tasks.Task("short", "downhill streets", "nothing", HILLS, HILLS, HILLS, 
 
 
 @pytest.fixture
-def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The current folder, with the modules of the page."""
     codes = [block.code for block in blocks_of(DOCS / "extending.md")]
     (tmp_path / "weighted.py").write_text(next(code for code in codes if "class RewardWeighted" in code))
@@ -70,7 +71,7 @@ def test_an_own_algorithm_trains_validates_resumes_and_is_evaluated(
     entry = json.loads((own_folder / "results" / "leaderboard" / "mine.json").read_text())
     policy = entry["policy"]
     assert (entry["task"], policy["algo"], policy["frames"]) == ("short", "weighted:RewardWeighted", 210)
-    assert len(policy["weights"]) == 1 and 5 in entry["rows"]["train_seed"]["values"]
+    assert len(policy["weights"]) == 1 and 5 in entry["rows"]["train_seed"]
 
 
 @pytest.mark.usefixtures("own_folder")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from izoo import train
 from izoo.algos.learners import registry
 from izoo.algos.learners.registry import ALGORITHMS, Home, choices, make_algorithm, preset
 from izoo.cli.compose import compose_config
+from izoo.conf.choices import groups
 from izoo.conf.mapping import from_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
@@ -67,11 +69,14 @@ class Calm:
 
 
 @pytest.fixture
-def calm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def calm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A further algorithm: one file, and one line of the registry."""
     (tmp_path / "calm_algorithm.py").write_text(NEW)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setitem(ALGORITHMS, "calm", Home("calm_algorithm:Calm", ("slow",)))
+    groups.cache_clear()
+    yield
+    groups.cache_clear()
 
 
 @pytest.mark.parametrize("choice", choices())

@@ -89,7 +89,7 @@ def test_options() -> None:
 
 def test_presets_stand_side_by_side() -> None:
     (row,) = re.findall(r"^\| `algo.epochs` \| (.*) \| passes over", options_page(), re.MULTILINE)[-1:]
-    assert row == "`4` | `30` | `6` | `4`", "of PPO and its presets"
+    assert row == "`4` | `4` | `30` | `6`", "of PPO and its presets imitation, paper and vehicle"
 
 
 def test_every_command_has_its_help() -> None:
