@@ -23,9 +23,7 @@ COMMANDS = {
     "benchmarks.planner": ("izoo.benchmarks.planner", "how much a planner that knows the future saves"),
     "benchmarks.twin": ("izoo.benchmarks.twin", "how far the twin and SUMO agree"),
     "benchmarks.calibration": ("izoo.benchmarks.calibration", "whether calibration finds drivers that are known"),
-    "benchmarks.throughput": ("izoo.benchmarks.throughput", "how many steps a second environments and training make"),
-    "benchmarks.scaling": ("izoo.benchmarks.scaling", "the same with more cores and environments"),
-    "benchmarks.emissions": ("izoo.benchmarks.emissions", "speed and error of the emission models"),
+    "benchmarks.speed": ("izoo.benchmarks.speed", "how fast environments, training and emissions are here"),
 }
 """Module and meaning of every command."""
 

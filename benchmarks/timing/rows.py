@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from izoo.algos.learners.ppo_config import PPOConfig
+from izoo.algos.learners.ppo import PPOConfig
 from izoo.benchmarks.timing.clocks import Timed, timed
 from izoo.conf.train_options import CollectorConfig, TrainConfig, TrainingTwinConfig
 from izoo.contexts.context import Context
