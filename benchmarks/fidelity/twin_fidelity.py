@@ -214,7 +214,7 @@ COLUMNS = {
     "accel.=ks_accel|.3f",
     "driving": "policy; demand; measure; SUMO=sumo; twin",
     "co2": f"{_ABOUT}lanes; n=approaches; mean|d|=co2_mean_abs|.1%; median=co2_median_abs|.1%; bias=co2_bias|+.1%; "
-    "worst=co2_worst|.1%; > 5 %=co2_wide; beyond=co2_beyond",
+    "> 5 %=co2_wide; beyond=co2_beyond",
     "delay": f"{_ABOUT}lanes; delay, s=delay_s|+.2f; crossed=crossed|+.1%",
     "gains": f"{_ABOUT}SUMO=sumo|+.2f; twin|+.2f; points=difference|+.2f; SUMO's own=own|.2f",
     "overall": "policy; n=approaches; CO2 mean|d|=co2_mean_abs|.1%; SUMO itself=co2_own|.1%; bias=co2_bias|+.1%; "

@@ -229,19 +229,19 @@ class Episode:
             self.tables.sums[self.tables.ints[row, APPROACH], column] += 1
         self.tables.episode[EPISODE_METRIC["collisions"]] += 1
 
-    def write_frame(self, reading: Reading, everybody_left: Callable[[], bool]) -> np.ndarray:
+    def write_frame(self, reading: Reading, all_left: Callable[[], bool]) -> np.ndarray:
         """Write the frame after a step, from the members' present positions.
 
         Args:
             reading: of the members.
-            everybody_left: as for :meth:`end_step`.
+            all_left: as for :meth:`end_step`.
 
         Returns:
             Rows of agents on a lane that does not lead to their exit, for :meth:`mark_yielding`.
         """
         playing_out = self.config.decide != STEP and self.steps >= self.config.control_steps
         time_s = self.started_s + (self.steps + 1) * self.config.step_s
-        make_frame(self.world, reading, time_s, True, playing_out and everybody_left())
+        make_frame(self.world, reading, time_s, True, playing_out and all_left())
         return self.tables.wrong_lane_agents[: self.tables.cursor[WRONG_LANE_AGENTS]]
 
     def mark_yielding(self, rows: Sequence[int]) -> None:
@@ -253,12 +253,12 @@ class Episode:
         self.tables.flags[rows, YIELDING] = 1
         self._yielding = len(rows)
 
-    def end_step(self, ending: Callable[[], DemandAtHorizon], everybody_left: Callable[[], bool]) -> None:
+    def end_step(self, ending: Callable[[], DemandAtHorizon], all_left: Callable[[], bool]) -> None:
         """Complete the sums at the horizon, and the episode when it has been played out.
 
         Args:
             ending: returns the demand at the horizon; called there.
-            everybody_left: returns whether no vehicle is in the network or will be; called after each decision from
+            all_left: returns whether no vehicle is in the network or will be; called after each decision from
                 the horizon on.
         """
         config = self.config
@@ -266,7 +266,7 @@ class Episode:
             self._complete_horizon_sums(ending())
         if self.steps < config.control_steps or not self.between_decisions:
             return
-        if self.steps == config.total_steps or everybody_left():
+        if self.steps == config.total_steps or all_left():
             self._finish()
 
     def _complete_horizon_sums(self, ending: DemandAtHorizon) -> None:

@@ -98,11 +98,6 @@ def summarise(table: pd.DataFrame, reference: str | None = None, trained_on: pd.
     }
 
 
-def summarise_task(table: pd.DataFrame, task: str) -> Summary:
-    """Sum up one task of a table, with the generalisation gap where its training contexts were played too."""
-    return summarise(table[table["task"] == task], trained_on=table[table["task"] == task + TRAINING])
-
-
 def verdict(entries: Mapping[str, Summary], pairwise: list[Summary], block: str) -> str:
     """Return in one sentence what an evaluation found: of several entries, what the best one saves and its margin.
 

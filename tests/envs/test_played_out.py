@@ -31,7 +31,7 @@ from tests.envs.worlds import Driver, constant, cramped, crossing, defer, same
 SEED = 3
 CONFIG = EnvConfig(horizon_s=200.0, warmup_s=30.0, drain_s=600.0, emit=("metrics",))
 COHORT = tuple(name for name in APPROACH_METRICS if name.startswith("cohort"))
-TO_HORIZON = tuple(name for name in APPROACH_METRICS if name not in COHORT)
+TO_HORIZON = tuple(name for name in APPROACH_METRICS if "cohort" not in name)
 Sums = dict[str, np.ndarray]
 
 

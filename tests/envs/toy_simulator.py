@@ -1,4 +1,4 @@
-"""A simulator in sixty lines: vehicles that see neither each other nor the signals, and drive as they are told."""
+"""A simulator in sixty lines: vehicles that see neither each other nor the signals, and drive as they are commanded."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from izoo.emissions.weights import load_weights
 from izoo.envs.backend import Play, episode_traffic
 from izoo.envs.config import EnvConfig
 from izoo.envs.env import Contexts, EcoDrivingBase, numbering
-from izoo.envs.mdp.episode import Ending, Episode, Reading
+from izoo.envs.mdp.episode import DemandAtHorizon, Episode, Reading
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.snapshot import Scene
 from izoo.networks.net.build import build_net
@@ -38,10 +38,10 @@ class Toy:
 
     def step(self) -> None:
         episode, road = self.episode, self.road
-        orders = episode.orders()
-        for row in orders.release.tolist():
+        commands = episode.commands()()
+        for row in commands.release.tolist():
             self.cars[row][3] = None
-        for row, target_mps in zip(orders.command.tolist(), orders.target_mps.tolist(), strict=True):
+        for row, target_mps in zip(commands.command.tolist(), commands.target_mps.tolist(), strict=True):
             self.cars[row][3] = target_mps
         for row, car in list(self.cars.items()):
             faster = min(car[2] + 2.0 * self.step_s, road.lane_limit_mps[car[0]])
@@ -52,16 +52,16 @@ class Toy:
                 car[0] = road.next_lane[car[0], car[4]]
             if car[0] < 0:
                 del self.cars[row]
-                episode.leave(row)
+                episode.release(row)
         while self.waiting and self.traffic.depart_s[self.waiting[0]] <= episode.time_s:
             number = self.waiting.pop(0)
             approach, leaving = self.traffic.approach[number], self.traffic.exit[number]
             first = (road.lane_approach == approach) & (road.lane_location == 0) & (road.next_lane[:, leaving] >= 0)
             self.due.append(number)
-            self.cars[episode.enter(number, 0.0)] = [int(np.flatnonzero(first)[0]), 0.0, 10.0, None, leaving]
-        everybody_left = lambda: not self.cars and not self.waiting  # noqa: E731
-        episode.observe(self.reading(), everybody_left)
-        episode.end_step(lambda: Ending(self.due, (), (), (), ()), everybody_left)
+            self.cars[episode.admit(number, 0.0)] = [int(np.flatnonzero(first)[0]), 0.0, 10.0, None, leaving]
+        all_left = lambda: not self.cars and not self.waiting  # noqa: E731
+        episode.write_frame(self.reading(), all_left)
+        episode.end_step(lambda: DemandAtHorizon(self.due, (), (), (), ()), all_left)
 
 
 class ToyBackend:

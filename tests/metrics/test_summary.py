@@ -12,7 +12,7 @@ import pytest
 from izoo.errors import IzooError
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.statistics import iqm
-from izoo.metrics.summary import TRAINING, summarise, summarise_task
+from izoo.metrics.summary import summarise
 from tests.metrics.tables import compared, episode_row
 
 NOISE = np.random.default_rng(0).normal(0.0, 1.0, (4, 20))
@@ -164,9 +164,8 @@ def test_levels_weigh_vehicles_and_count_by_context() -> None:
 def test_the_generalisation_gap() -> None:
     seeds = {"ppo": 4}
     test = compared({"ppo": 3.0 + NOISE[0], "glide": NOISE[1]}, train_seeds=seeds)
-    training = compared({"ppo": 5.0 + NOISE[0, :12]}, train_seeds=seeds).assign(task=f"test{TRAINING}")
-    table = pd.concat([test, training], ignore_index=True)
-    found = summarise_task(table, "test")
+    training = compared({"ppo": 5.0 + NOISE[0, :12]}, train_seeds=seeds)
+    found = summarise(test, trained_on=training)
     assert found["n"]["contexts"] == 20 and found["entries"] == summarise(test)["entries"]
     assert list(found["gaps"]) == ["ppo"], "the others were not played in both"
     gap, training = found["gaps"]["ppo"]["gap"], found["gaps"]["ppo"]["training"]

@@ -178,7 +178,8 @@ class _Helper(ChildProcess):
         """
         send(self.socket, pickle.dumps(plays))
         answers: list[Answer] = pickle.loads(receive(self.socket))
-        return answers
+        pairs = zip(plays, answers, strict=True)
+        return [answer if isinstance(answer, Exception) else answer._replace(play=play) for play, answer in pairs]
 
 
 def main(descriptor: int) -> None:
@@ -192,4 +193,6 @@ def main(descriptor: int) -> None:
                 build_nets([play.context.intersection for play in plays])
             with compiling_once(warm_up_all):
                 answers = [_prepared(config, functools.partial(_same, play), desk) for play in plays]
-            send(connection, pickle.dumps(answers, pickle.HIGHEST_PROTOCOL))
+            # The parent knows what it has asked for.
+            bare = [one if isinstance(one, Exception) else one._replace(play=None) for one in answers]
+            send(connection, pickle.dumps(bare, pickle.HIGHEST_PROTOCOL))

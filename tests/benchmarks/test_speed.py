@@ -1,0 +1,70 @@
+"""The speed benchmark: what cannot be measured is refused, and every row says how fast something is."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from izoo.benchmarks import speed
+from izoo.benchmarks.timing.clocks import CORES, Timed, timed
+from izoo.envs.twin.runtime.thread_pool import Crew
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["workers=0"], "workers is 0"),
+        (["threads=[0]"], "threads is 0"),
+        (["envs=[0]"], "envs is 0"),
+        (["seconds=0"], "seconds is 0"),
+        (["scenario=lihgt"], "Did you mean 'light'"),
+        (["rows=[twni]"], "Did you mean 'twin'"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused(words, message, capsys: pytest.CaptureFixture[str]) -> None:
+    assert speed.main(words) == 2
+    said = capsys.readouterr()
+    assert message in said.err and "Loading" not in said.out
+
+
+def test_the_serial_share_bounds_the_speed_up() -> None:
+    assert Timed(1, 1.0, 0.0, 1.0).most == CORES
+    assert Timed(1, 1.0, 1.0, 0.0).most == 1.0
+    assert math.isclose(Timed(1, 1.0, 0.04, 0.96).most, 10.0)
+
+
+def test_serial_is_what_the_main_thread_does_beside_its_share() -> None:
+    def work(seconds: float) -> None:
+        begin = time.thread_time()
+        while time.thread_time() - begin < seconds:
+            pass
+
+    crew = Crew(2, lambda: None)
+    backend = SimpleNamespace(_crew=crew)
+
+    def step() -> None:
+        work(0.02)
+        crew.work(lambda thread: work(0.03))
+
+    found = timed(step, 0.05, backend)
+    crew.close()
+    assert found.serial_s == pytest.approx(0.02, rel=0.3)
+    assert found.shared_s == pytest.approx(0.06, rel=0.3)
+    assert "work" not in vars(crew) and threading.active_count() >= 1
+
+
+@pytest.mark.slow
+def test_every_row_says_how_fast_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    config = speed.SpeedConfig(envs=(4,), threads=(1, 2), seconds=0.05, starting=3, workers=1, device="cpu")
+    rows = {row.name: row for row in speed.run(config)}
+    said = capsys.readouterr()
+    assert all(name in said.out.replace("\n", " ") for name in ("serial", "most", "start of 3"))
+    stepped = rows["twin, 4 environments, 2 threads, all groups"]
+    assert stepped.timed is not None and 0.0 < stepped.timed.serial_share < 1.0
+    assert stepped.vehicles == pytest.approx(rows["SUMO, one environment"].vehicles, rel=0.3)
+    assert all(row.env_steps_per_s > 0.0 or "vehicles/s" in row.note for row in rows.values())
+    assert rows["training on the twin, 4 environments, 2 threads, learner on cpu"].agent_steps_per_s
