@@ -23,7 +23,7 @@ COMMANDS = {
     "benchmarks.planner": ("izoo.benchmarks.planner", "how much a planner that knows the future saves"),
     "benchmarks.twin": ("izoo.benchmarks.twin", "how far the twin and SUMO agree"),
     "benchmarks.calibration": ("izoo.benchmarks.calibration", "whether calibration finds drivers that are known"),
-    "benchmarks.speed": ("izoo.benchmarks.speed", "how fast this machine steps, acts, trains and starts"),
+    "benchmarks.speed": ("izoo.benchmarks.speed", "how fast environments, training and emissions are here"),
 }
 """Module and meaning of every command."""
 

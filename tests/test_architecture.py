@@ -79,7 +79,7 @@ def room(name: str) -> str | None:
 def rooms() -> set[str]:
     """Every room that there is: folders and files of the package, and what is installed inside it."""
     inside = {entry.stem for entry in (ROOT / "izoo").iterdir() if entry.suffix == ".py" or entry.is_dir()}
-    return {*inside, "envs", "algos", "benchmarks"} - {"__init__", "__pycache__"}
+    return {*inside, "envs", "algos", "benchmarks"} - {"__init__", "__main__", "__pycache__"}
 
 
 def floor(place: str | None, floors: tuple[set[str], ...] = FLOORS) -> int | None:

@@ -17,7 +17,7 @@ from izoo.contexts.cities.rebuilt import SIZES
 from izoo.contexts.procedural import SYSTEMATICITY_TEST
 from izoo.contexts.source import ContextList
 from izoo.errors import IzooError
-from izoo.training.validation import held_out
+from izoo.training.validation_rollout import held_out
 
 CHOICES = {
     "pcg": PcgContexts(),
