@@ -15,17 +15,18 @@ import importlib.util
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 from izoo.cli.option_command import OptionCommand
 from izoo.console import Progress
 from izoo.cores import usable_cores
-from izoo.errors import check_range
+from izoo.errors import check_choice, check_range, check_types
 
 if TYPE_CHECKING:
     from izoo.benchmarks.timing.rows import Row
 
 RowName = Literal["sumo", "twin", "policy", "training", "start", "emissions"]
+Scenario = Literal["two_lanes", "light", "medium", "heavy"]
 GROUPS = ("vehicles", "signal", "context", "metrics")
 
 
@@ -48,7 +49,7 @@ class SpeedConfig:
     """
 
     rows: tuple[RowName, ...] = ("sumo", "twin", "policy", "training", "start", "emissions")
-    scenario: Literal["two_lanes", "light", "medium", "heavy"] = "two_lanes"
+    scenario: Scenario = "two_lanes"
     envs: tuple[int, ...] = (64, 512)
     threads: tuple[int, ...] = ()
     surrogate: Literal["torch", "cuda", "compiled"] = "compiled"
@@ -59,6 +60,10 @@ class SpeedConfig:
     machine: bool = False
 
     def __post_init__(self) -> None:
+        check_types("", self)
+        check_choice("scenario", self.scenario, get_args(Scenario))
+        for row in self.rows:
+            check_choice("rows", row, get_args(RowName))
         for count in self.envs:
             check_range("envs", count, 1, 65536)
         for count in self.threads:

@@ -24,8 +24,9 @@ from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement, Slic
 from izoo import collect
 from izoo.conf.train_options import CollectConfig
 from izoo.errors import IzooError
-from izoo.training import offline
-from izoo.training.shards import ShardStorage, reserve
+from izoo.training import dataset
+from izoo.training.shard_writer import MANIFEST, ShardWriter, reserve
+from izoo.training.shards import ShardStorage
 
 TOY = ["contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "env.emit=[context]"]
 
@@ -47,10 +48,10 @@ def test_the_data_load_back_memory_mapped(data: Path) -> None:
     assert float(action.min()) < -3.0 and float(action.max()) > 1.5, "the random driver uses the whole range"
     assert float(steps["next", "agents", "reward"][mask].abs().sum()) > 0
     assert bool(steps["next", "done"].any())
-    manifest = json.loads((data / offline.MANIFEST).read_text())
+    manifest = json.loads((data / MANIFEST).read_text())
     assert manifest["frames"] == 300
     assert len(manifest["observation_names"]) == steps["agents", "observation"].shape[-1]
-    assert sorted(path.name for path in data.iterdir()) == [offline.MANIFEST, "shard-00000"]
+    assert sorted(path.name for path in data.iterdir()) == [MANIFEST, "shard-00000"]
 
 
 def test_a_replay_buffer_takes_the_data_as_they_are(data: Path) -> None:
@@ -70,7 +71,7 @@ def test_a_folder_is_filled_by_one_process_at_a_time(tmp_path: Path, capsys: pyt
     words = [*TOY, "policy=random", "shard_frames=500", f"out={out}"]
     command = [sys.executable, "-m", "izoo.collect", *words, "seed=1", "frames=1000000"]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as first:
-        while not (out / offline.MANIFEST).exists():
+        while not (out / MANIFEST).exists():
             assert first.poll() is None
             time.sleep(0.05)
         assert collect.main([*words, "seed=2", "frames=500"]) == 2
@@ -80,20 +81,20 @@ def test_a_folder_is_filled_by_one_process_at_a_time(tmp_path: Path, capsys: pyt
     alone = tmp_path / "alone"
     assert collect.main([*words, "seed=1", "frames=500", f"out={alone}"]) == 0
     for key in (("agents", "observation"), ("context", "seed")):
-        assert torch.equal(offline.load_shards(out)[0][key], collect.load(alone)[key])
+        assert torch.equal(dataset.load_shards(out)[0][key], collect.load(alone)[key])
 
 
 def test_shards_hold_the_same_steps_as_one_file(data: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert collect.main([*TOY, "frames=300", "shard_frames=128", f"out={out}"]) == 0
-    assert [len(shard) for shard in offline.load_shards(out)] == [128, 128, 44]
+    assert [len(shard) for shard in dataset.load_shards(out)] == [128, 128, 44]
     whole, parts = collect.load(data), collect.load(out)
     for key in (("agents", "observation"), ("agents", "action"), ("context", "seed")):
         assert torch.equal(whole[key], parts[key])
 
 
 def test_shards_are_one_storage_that_reads_what_is_drawn(data: Path, tmp_path: Path) -> None:
-    writer = offline.ShardWriter(CollectConfig(frames=300, shard_frames=128), tmp_path)
+    writer = ShardWriter(CollectConfig(frames=300, shard_frames=128), tmp_path, 2)
     writer.write(collect.load(data))
     buffer = collect.replay_buffer(tmp_path, batch_size=64)
     whole, storage = torch.cat([collect.load(data)[worker::2] for worker in range(2)]), buffer.storage
@@ -195,7 +196,7 @@ def test_a_data_set_with_a_file_cut_short_is_refused_and_left_alone(
     path = next((tmp_path / "data").glob("shard-*/agents/observation.memmap"))
     break_it(path)
     before = path.stat().st_size if path.exists() else None
-    with pytest.raises(IzooError, match=r"cannot be read: .*observation\.memmap has [\d,]+ bytes, and should have"):
+    with pytest.raises(IzooError, match=r"cannot read .*observation\.memmap has [\d,]+ bytes, and should have"):
         collect.load(tmp_path / "data")
     assert (path.stat().st_size if path.exists() else None) == before
 
@@ -216,7 +217,7 @@ def test_a_data_set_reads_nothing_outside_of_its_folder(data: Path, tmp_path: Pa
     path = next((tmp_path / "data").glob("shard-*")) / "meta.json"
     entry = {"device": "cpu", "shape": [1], "dtype": "torch.float32", "is_nested": False}
     path.write_text(json.dumps({**json.loads(path.read_text()), "../../secret": entry}))
-    with pytest.raises(IzooError, match="is no name of a file"):
+    with pytest.raises(IzooError, match="is not a file name"):
         collect.load(tmp_path / "data")
 
 
@@ -248,14 +249,14 @@ def test_a_data_set_that_would_run_code_is_refused(data: Path, tmp_path: Path) -
     (shard / "x" / "other.pickle").write_bytes(pickle.dumps({"data": Evil()}))
     content = json.loads((shard / "meta.json").read_text())
     (shard / "meta.json").write_text(json.dumps({**content, "x": {"type": "NonTensorData"}}))
-    with pytest.raises(IzooError, match="cannot be read"):
+    with pytest.raises(IzooError, match="cannot read"):
         collect.load(tmp_path / "data")
     assert not (tmp_path / "ran").exists()
 
 
 def test_an_unfinished_shard_is_never_part_of_the_data(tmp_path: Path, data: Path) -> None:
-    writer = offline.ShardWriter(CollectConfig(frames=100, shard_frames=40), tmp_path)
+    writer = ShardWriter(CollectConfig(frames=100, shard_frames=40), tmp_path, 2)
     writer.write(collect.load(data)[:50])
-    assert [len(shard) for shard in offline.load_shards(tmp_path)] == [40]
+    assert [len(shard) for shard in dataset.load_shards(tmp_path)] == [40]
     writer.finish_shard()
-    assert [len(shard) for shard in offline.load_shards(tmp_path)] == [40, 10]
+    assert [len(shard) for shard in dataset.load_shards(tmp_path)] == [40, 10]

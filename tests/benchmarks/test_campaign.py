@@ -164,8 +164,9 @@ def test_what_does_not_belong_to_the_campaign_is_refused(
     done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     copy = Path(shutil.copytree(done, tmp_path / "copy"))
-    assert campaign.main(words(copy, train=["algo.epochs=2"])) == 2
-    assert "algo.epochs 1 -> 2" in capsys.readouterr().err
+    assert campaign.main(words(copy, train=["algo.gamma=0.9"])) == 2
+    said = capsys.readouterr().err
+    assert "algo.gamma" in said and "-> 0.9" in said
     with claimed(copy / "lane"):
         assert campaign.main(words(copy)) == 2
         assert "another process" in capsys.readouterr().err

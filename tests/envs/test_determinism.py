@@ -142,7 +142,7 @@ def test_the_surrogates_agree(make_twin: MakeTwin, hold_s: float | None, other: 
     assert parts[0]["done"].any() and parts[0]["vehicles", "emission_g"].sum() > 1.0
 
 
-@pytest.mark.parametrize(("num_envs", "threads"), [(GROUP + 3, 1), (3 * GROUP, 2)])
+@pytest.mark.parametrize(("num_envs", "threads"), [(GROUP + 3, 1), pytest.param(3 * GROUP, 2, marks=pytest.mark.slow)])
 def test_environments_of_a_group_do_not_affect_each_other(make_twin: MakeTwin, num_envs: int, threads: int) -> None:
     """With the compiled surrogate, in different phases of their episodes."""
     config, phases = short(hold_s=2.0), [7 * index % 11 for index in range(num_envs)]

@@ -75,7 +75,10 @@ NETS = {
 }
 
 
-@pytest.fixture(params=list(NETS))
+SLOW = ("three lanes, uphill", "measured, busy")
+
+
+@pytest.fixture(params=[pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in NETS])
 def context(request: pytest.FixtureRequest) -> Context:
     chosen = NETS[request.param]
     if isinstance(chosen, Context):

@@ -32,7 +32,7 @@ pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="lo
 
 @pytest.fixture
 def pair() -> Iterator[SumoParallelEnv]:
-    with contextlib.closing(SumoParallelEnv(2, crossing(), config=short(watchdog_s=2.0), seed=6)) as env:
+    with contextlib.closing(SumoParallelEnv(2, crossing(), config=short(watchdog_s=4.0), seed=6)) as env:
         yield env
 
 

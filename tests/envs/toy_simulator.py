@@ -38,7 +38,7 @@ class Toy:
 
     def step(self) -> None:
         episode, road = self.episode, self.road
-        commands = episode.commands()()
+        commands = episode.commands()
         for row in commands.release.tolist():
             self.cars[row][3] = None
         for row, target_mps in zip(commands.command.tolist(), commands.target_mps.tolist(), strict=True):
