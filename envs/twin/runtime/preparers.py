@@ -193,6 +193,9 @@ def main(descriptor: int) -> None:
                 build_nets([play.context.intersection for play in plays])
             with compiling_once(warm_up_all):
                 answers = [_prepared(config, functools.partial(_same, play), desk) for play in plays]
-            # The parent knows what it has asked for.
-            bare = [one if isinstance(one, Exception) else one._replace(play=None) for one in answers]
-            send(connection, pickle.dumps(bare, pickle.HIGHEST_PROTOCOL))
+            send(connection, pickle.dumps([_bare(answer) for answer in answers], pickle.HIGHEST_PROTOCOL))
+
+
+def _bare(answer: Answer) -> Answer:
+    """Leave out what is played, which the parent knows."""
+    return answer if isinstance(answer, Exception) else answer._replace(play=None)  # type: ignore[arg-type]

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from queue import SimpleQueue
 
-Task = Callable[[int], None]
+Task = Callable[[int], object]
 _Reports = SimpleQueue[BaseException | None]
 _Order = tuple[Task, _Reports]
 
