@@ -11,6 +11,7 @@ allows on 16 (Amdahl's law).
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -24,6 +25,7 @@ from izoo.errors import check_range, check_types
 
 if TYPE_CHECKING:
     from izoo.benchmarks.timing.rows import Row
+    from izoo.contexts.context import Context
 
 RowName = Literal["sumo", "twin", "policy", "training", "start", "emissions"]
 Scenario = Literal["two_lanes", "light", "medium", "heavy"]
@@ -88,30 +90,31 @@ def plan(config: SpeedConfig) -> Iterator[tuple[str, Callable[[], list[Row]]]]:
         yield "bare libsumo", lambda: [rows.bare_sumo(context, seconds)]
         yield "one environment on SUMO", lambda: [rows.one_on_sumo(context, seconds)]
         for name in ("parallel", "multisync"):
-            yield (
-                f"{config.workers} workers, {name}",
-                lambda name=name: [rows.workers_on_sumo(context, seconds, name, config.workers)],
-            )
+            measure = functools.partial(rows.workers_on_sumo, context, seconds, name, config.workers)
+            yield f"{config.workers} workers, {name}", lambda measure=measure: [measure()]  # type: ignore[misc]
     if "twin" in config.rows:
         for envs in config.envs:
             for count in (count for count in threads if count <= envs):
-                how = envs, count
-                yield (
-                    f"twin, {envs} x {count}",
-                    lambda how=how: [
-                        rows.backend_alone(context, seconds, *how, surrogate),
-                        *(rows.stepping(context, seconds, *how, emit, surrogate) for emit in ((), GROUPS)),
-                    ],
-                )
+                yield f"twin, {envs} x {count}", functools.partial(_on_twin, context, seconds, envs, count, surrogate)
     if "policy" in config.rows:
         yield "policy", lambda: [rows.with_policy(context, seconds, last, min(most, last), surrogate)]
     if "training" in config.rows:
-        how = last, min(most, last), surrogate
-        yield "training", lambda: [rows.training(context, 2.0 * seconds, *how, config.device)]
+        yield (
+            "training",
+            lambda: [rows.training(context, 2.0 * seconds, last, min(most, last), surrogate, config.device)],
+        )
     if "start" in config.rows and importlib.util.find_spec("sumo"):
         yield "start", lambda: [rows.start(config.starting, min(most, config.starting), surrogate)]
     if "emissions" in config.rows:
         yield "CO2", lambda: rows.emissions(seconds)
+
+
+def _on_twin(context: Context, seconds: float, envs: int, threads: int, surrogate: str) -> list[Row]:
+    """Measure the twin alone, stepped without groups, and with all of them."""
+    from izoo.benchmarks.timing import rows
+
+    alone = rows.backend_alone(context, seconds, envs, threads, surrogate)
+    return [alone, *(rows.stepping(context, seconds, envs, threads, emit, surrogate) for emit in ((), GROUPS))]
 
 
 def print_table(rows: Sequence[Row]) -> None:

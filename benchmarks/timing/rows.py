@@ -92,7 +92,7 @@ def one_on_sumo(context: Context, seconds: float) -> Row:
 def workers_on_sumo(context: Context, seconds: float, collector: str, workers: int) -> Row:
     """Environments on SUMO in processes, batches collected as training does with an untrained PPO policy."""
     length = 100
-    options = {"collector": CollectorConfig(name=collector), "num_workers": workers}  # type: ignore[arg-type]
+    options: dict[str, Any] = {"collector": CollectorConfig(name=collector), "num_workers": workers}  # type: ignore[arg-type]
     config = TrainConfig(
         algo=PPOConfig(frames_per_batch=workers * length), env=settings(emit=()), simulator="sumo", **options
     )
