@@ -184,7 +184,7 @@ def sample(parameters, rows, spread, bounds, half_band, two_sided, noise, out): 
         half_band: half the width of the band that stands for the action 0; below 0: there is none.
         two_sided: ``[n]`` uint8: actions below 0 differ from 0.
         noise: ``[n]`` standard normal numbers.
-        out: ``[4, n]`` outputs: median and spread before the tanh, action, log-probability.
+        out: ``[4, n]`` outputs: median and spread before the tanh, action (0 beforehand), log-probability.
     """
     offset, summand, floor = spread
     middle, half = 0.5 * (bounds[0] + bounds[1]), 0.5 * (bounds[1] - bounds[0])

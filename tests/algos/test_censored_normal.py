@@ -94,7 +94,7 @@ def test_compiled_draws_equal_the_modules() -> None:
     loc, offset = 2.0 * torch.randn(n, generator=generator), torch.randn(n, generator=generator)
     two_sided, noise = torch.rand(n, generator=generator) < 0.5, torch.randn(n, generator=generator)
     parameters = torch.stack([loc, offset], dim=-1).numpy()
-    out, rows = np.empty((4, n), np.float32), np.arange(n)
+    out, rows = np.zeros((4, n), np.float32), np.arange(n)
     compiled_mlp.sample(
         parameters, rows, (0.5, 0.0, 0.01), (-BOUND, BOUND), DEAD, two_sided.numpy().view(np.uint8), noise.numpy(), out
     )

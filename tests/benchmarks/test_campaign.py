@@ -187,7 +187,11 @@ def test_rows_do_not_outlive_the_weights_that_were_tested(done: Path, tmp_path: 
 
 
 def test_bad_options_are_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    for given, message in (("parts=[busy]", "busy_lane"), ("runs_at_once=0", "runs_at_once is 0"), ("out=", "out")):
+    for given, message in (
+        ("parts=[busy]", "busy_lane"),
+        ("runs_at_once=0", "runs_at_once is 0"),
+        ("out=", "a path is empty"),
+    ):
         assert campaign.main([given]) == 2
         said = capsys.readouterr().err
         assert message in said and said.count("\n") == 1

@@ -349,4 +349,4 @@ def test_what_a_folder_holds_of_other_options_is_not_compared(tmp_path: Path) ->
 
 @pytest.mark.parametrize("example", twin.COMMAND.examples)
 def test_the_examples_of_the_help_are_good(example: str) -> None:
-    compose.compose_config(twin.COMMAND.name, FidelityConfig, twin.COMMAND.options(example.split()[1:]))
+    assert isinstance(twin.COMMAND.compose(example.split()[1:]), FidelityConfig)

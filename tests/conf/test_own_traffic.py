@@ -27,7 +27,7 @@ from izoo.results.contexts_file import context_from_dict
 from izoo.traffic.drivers import built_in_population
 from izoo.traffic.sampling import sample_traffic
 from izoo.training import checkpoint
-from izoo.training.validation import validate
+from izoo.training.validation_rollout import validate
 
 
 def own_population(tau_s: float = 0.6) -> dict[str, Any]:

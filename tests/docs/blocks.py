@@ -11,7 +11,7 @@ from markdown_it import MarkdownIt
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 DOCS = ROOT / "izoo" / "docs"
-LANGUAGES = {"python", "bash", "text"}
+LANGUAGES = {"python", "bash", "text", "yaml"}
 COMMENT = re.compile(r"<!-- (not run|run): (.+?) -->")
 
 

@@ -28,7 +28,7 @@ class Understood(Exception):
 
 def run_page(page: Path) -> int:
     """Run the blocks of a page in order; return how many there were."""
-    blocks = [block for block in blocks_of(page) if block.language != "text" and block.not_run is None]
+    blocks = [block for block in blocks_of(page) if block.language in ("python", "bash") and block.not_run is None]
     namespace: dict[str, Any] = {"__name__": "__main__"}
     for block in blocks:
         if block.language == "python":

@@ -28,7 +28,7 @@ def start(page: Path, folder: Path) -> Result:
 
 
 def runnable(page: Path) -> list[Block]:
-    return [block for block in blocks_of(page) if block.language != "text" and block.not_run is None]
+    return [block for block in blocks_of(page) if block.language in ("python", "bash") and block.not_run is None]
 
 
 def runs_something(page: Path) -> bool:

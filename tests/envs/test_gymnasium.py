@@ -326,7 +326,7 @@ def test_bad_options_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         (JOINT, {"config": {"horizon_s": 3}}, IzooError, "EnvConfig"),
         (EGO, {"others": "glide"}, IzooError, "others is a str"),
         (JOINT, {"render_mode": "human"}, IzooError, "needs a screen"),
-        (JOINT, {"simulator": "twin", "render_mode": "human"}, IzooError, "the twin has no window"),
+        (JOINT, {"simulator": "twin", "render_mode": "human"}, IzooError, "the twin has none"),
         (JOINT, {"simulator": "twni"}, IzooError, "'twni'"),
     ]
     for name, options, kind, message in wrong:

@@ -152,7 +152,7 @@ def test_a_multirun_of_the_command_gives_a_table(tmp_path: Path, monkeypatch: py
     monkeypatch.chdir(tmp_path)
     words = ["contexts=pcg_easy", "env.horizon_s=75", "algo.hidden=[8]", "evaluation.contexts=0", "total_frames=100"]
     words += ["collector=single"]
-    sizes = ["algo.frames_per_batch=100", "algo.minibatch_rows=64", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
+    sizes = ["algo.frames_per_batch=100", "algo.minibatch_rows=64", "run_dir='sweep/${algo.lr}'"]
     assert train.main(["-m", *words, *sizes, "algo.lr=1e-3,1e-4", "seed=0"]) == 0
     assert report.main([str(tmp_path / "sweep")]) == 0
     table = pd.read_csv(tmp_path / "sweep" / sweeps.SWEEP_FILE)

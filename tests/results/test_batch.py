@@ -95,7 +95,7 @@ def test_a_policy_is_bound_to_the_environments_that_it_drives(tmp_path: Path) ->
 
 
 def test_what_it_cannot_play_is_refused_and_what_fails_is_named(tmp_path: Path) -> None:
-    with pytest.raises(IzooError, match=r"but simulator is sumo; choose simulator=twin"):
+    with pytest.raises(IzooError, match=r"simulator=sumo cannot; choose simulator=twin"):
         evaluate_policy("glide", CONTEXTS[:1], [1], SHORT, executor="batch", progress=False, cache=tmp_path)
     with pytest.raises(IzooError, match=r"draws random numbers; choose executor=processes"):
         evaluated("batch", tmp_path, "random")
