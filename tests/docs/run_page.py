@@ -17,6 +17,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from izoo.__main__ import COMMANDS
 from izoo.cli.compose import combinations, compose_config
 from izoo.cli.option_command import OptionCommand
 from tests.docs.blocks import ROOT, Block, blocks_of, command_lines, with_options
@@ -62,6 +63,8 @@ def check_command(words: list[str]) -> None:
         for word in words[1:]:
             if "=" not in word and not re.search(rf"^{re.escape(word)}:", makefile, re.MULTILINE):
                 raise ValueError(f"the Makefile has no target {word!r}")
+    elif words[0] == "izoo" and set(words[1:2]) <= set(COMMANDS):
+        return
     elif words[:2] == ["pip", "install"]:
         project = (ROOT / "pyproject.toml").read_text()
         for extra in re.findall(r"izoo\[([\w,]+)\]", " ".join(words)):

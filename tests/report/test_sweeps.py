@@ -156,4 +156,4 @@ def test_a_multirun_of_the_command_gives_a_table(tmp_path: Path, monkeypatch: py
     assert train.main(["-m", *words, *sizes, "algo.lr=1e-3,1e-4", "seed=0"]) == 0
     assert report.main([str(tmp_path / "sweep")]) == 0
     table = pd.read_csv(tmp_path / "sweep" / sweeps.SWEEP_FILE)
-    assert table["algo.lr"].tolist() == [1e-3, 1e-4] and table["finished"].tolist() == [1, 1]
+    assert sorted(table["algo.lr"]) == [1e-4, 1e-3] and table["finished"].tolist() == [1, 1]
