@@ -40,13 +40,7 @@ _PARTIAL = re.compile(r"\.(?P<name>.+)\.partial-(?P<place>[0-9a-f]{8})-(?P<pid>\
 
 
 def expanded(path: str | Path) -> Path:
-    """Return a path with the home folder in place of ``~`` or ``~name``; if there is no such user, as it is.
-
-    Raises:
-        IzooError: there is nothing: options without a value would stand for the current folder.
-    """
-    if path == "":
-        raise IzooError("a path is empty; give a folder or a file, as in out=results, or '.' for the current folder.")
+    """Return a path with the home folder in place of ``~`` or ``~name``; if there is no such user, as it is."""
     return Path(os.path.expanduser(path))  # noqa: PTH111 (Path's own raises without such a user)
 
 

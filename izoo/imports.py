@@ -21,7 +21,8 @@ def imported(option: str, place: str) -> Any:
         IzooError: the module is not there, or has no such name.
     """
     module, _, name = place.partition(":")
-    if str(Path.cwd()) not in sys.path:
+    # Only for what is not izoo's own: nothing in the current folder shall be imported that nobody named.
+    if module.partition(".")[0] != "izoo" and str(Path.cwd()) not in sys.path:
         sys.path.append(str(Path.cwd()))
     try:
         return getattr(importlib.import_module(module), name)

@@ -71,6 +71,9 @@ class OptionCommand:
         from izoo.cli.compose import compose_config
 
         said = {name: value.strip("'\"") for name, _, value in (word.partition("=") for word in words)}
+        for name in FOLDERS:
+            if said.get(name) == "":
+                raise IzooError(f"{name} is empty; give a folder, such as {name}=results.")
         defaults = None if self.defaults is None else pkgutil.resolve_name(self.defaults)(said)
         return compose_config(self.config_class(), words, defaults)
 

@@ -190,7 +190,7 @@ def test_bad_options_are_one_sentence(capsys: pytest.CaptureFixture[str]) -> Non
     for given, message in (
         ("parts=[busy]", "busy_lane"),
         ("runs_at_once=0", "runs_at_once is 0"),
-        ("out=", "a path is empty"),
+        ("out=", "out is empty"),
     ):
         assert campaign.main([given]) == 2
         said = capsys.readouterr().err

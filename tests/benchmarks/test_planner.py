@@ -86,7 +86,7 @@ def test_the_command_keeps_its_rows(tmp_path: Path, capsys: pytest.CaptureFixtur
     half, all_ = json.loads((out / "summary.json").read_text())
     assert (half["task"], all_["task"]) == ("50 % CVs", "100 % CVs") and set(half["entries"]) == set(all_["entries"])
     assert planner.main([*more, "every_s=5", f"out={out}"]) == 2
-    assert "every_s 10.0 -> 5.0" in capsys.readouterr().err
+    assert "hold_s 10.0 -> 5.0" in capsys.readouterr().err
     (tmp_path / "file").touch()
     assert planner.main([*words, f"out={tmp_path}/file"]) == 2
 

@@ -10,6 +10,7 @@ import pytest
 from izoo.contexts.cities import rebuilt
 from izoo.contexts.procedural import procedural_intersection
 from izoo.contexts.spec import IntersectionSpec
+from izoo.cores import usable_cores
 from izoo.errors import IzooError
 from izoo.networks.net import build, netconvert
 from izoo.networks.net.build import build_net, build_nets
@@ -59,7 +60,7 @@ def test_nets_are_the_same_as_alone(towns: tuple[str, ...], tmp_path: Path, call
     specs = [*PROCEDURAL[::3], *ODD, *zeros, *(spec for name in towns for spec in city(name))]
     assert any(leg.approach.grade for spec in specs for leg in spec.legs if leg.approach)
     together = build_nets(specs, tmp_path / "together")
-    assert len(calls) == 1
+    assert len(calls) <= usable_cores()
     alone = [build_net(spec, tmp_path / "alone") for spec in specs]
     assert [path.name for path in together] == [path.name for path in alone]
     assert contents(tmp_path / "together") == contents(tmp_path / "alone")
