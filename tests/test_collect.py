@@ -65,6 +65,7 @@ def test_an_occupied_folder_is_refused(data: Path, capsys: pytest.CaptureFixture
     assert collect.load(data).shape == (300,)
 
 
+@pytest.mark.slow
 def test_a_folder_is_filled_by_one_process_at_a_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The second is refused, and the first goes on; also where nothing was there when both began."""
     out = tmp_path / "out"
@@ -221,6 +222,7 @@ def test_a_data_set_reads_nothing_outside_of_its_folder(data: Path, tmp_path: Pa
         collect.load(tmp_path / "data")
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_said_and_leaves_what_was_finished(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

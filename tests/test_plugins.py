@@ -52,6 +52,7 @@ def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path
         sys.modules.pop(name, None)
 
 
+@pytest.mark.slow
 def test_an_own_algorithm_trains_validates_resumes_and_is_evaluated(
     own_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

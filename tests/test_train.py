@@ -214,6 +214,7 @@ def test_a_failed_save_keeps_the_last_good_checkpoint(tmp_path: Path, monkeypatc
     assert list(first.parent.iterdir()) == [first]
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_the_run_with_one_sentence(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -108,6 +108,7 @@ def interruptible() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
 def test_after_ctrl_c_in_a_step_the_next_reset_works(pair: SumoParallelEnv) -> None:
     """No answer of a worker is left unread."""
@@ -212,6 +213,7 @@ ENDINGS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "ending", ["killed", *(pytest.param(name, marks=pytest.mark.slow) for name in ("Ctrl-C", "an exception"))]
 )

@@ -131,6 +131,7 @@ def test_a_block_is_no_larger_than_the_run_needs(tmp_path: Path) -> None:
         assert beside._compared["human"].block == 3
 
 
+@pytest.mark.slow
 def test_a_run_writes_what_it_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With random phases and advice; training is the same whether episodes are compared or not."""
     monkeypatch.setenv("IZOO_CACHE_DIR", str(tmp_path / "cache"))

@@ -96,6 +96,7 @@ def test_runs_that_begin_in_one_second_have_folders_of_their_own(
     assert len({*folders}) == 3 == len(list((tmp_path / "runs").iterdir()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["weights", "loss"])
 def test_training_stops_where_its_numbers_are_not_finite(
     what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -107,6 +107,7 @@ def test_a_killed_and_resumed_run_ends_like_an_uninterrupted_one(words: list[str
             assert leaf == resumed[path], path
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_before_its_first_checkpoint_begins_again(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     assert train.main([*TOY, "collector=single", "total_frames=200", f"run_dir={run_dir}"]) == 0

@@ -51,6 +51,7 @@ def test_data_from_the_twin(tmp_path: Path) -> None:
     assert len(steps) >= 400 and steps["context", "episode"].unique().tolist()[:4] == [0, 1, 2, 3]
 
 
+@pytest.mark.slow
 def test_an_evaluation_says_which_simulator_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [*EASY, "policy=glide", "seeds=1", "num_contexts=1", "num_workers=0", f"cache={tmp_path / 'cache'}"]
     for simulator in ("sumo", "twin"):
