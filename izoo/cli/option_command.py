@@ -12,6 +12,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 from izoo import __version__
@@ -96,6 +97,7 @@ class OptionCommand:
     @usable_paths()
     def _run(self, words: Sequence[str]) -> int:
         print(f"izoo {__version__} {self.name}", flush=True)
+        Path.cwd()  # PyTorch ends the process where the current folder has been removed
         flags = {word for word in words if word.startswith("-")}
         for flag in flags:
             if flag not in FLAGS:
