@@ -21,10 +21,17 @@ def imported(option: str, place: str) -> Any:
         IzooError: the module is not there, or has no such name.
     """
     module, _, name = place.partition(":")
-    # Only for what is not izoo's own: nothing in the current folder shall be imported that nobody named.
+    if not module or module.startswith(".") or not name.isidentifier():
+        raise IzooError(f"{option}={place} is not of the form module:name, such as mine:drive.")
+    # A file in the current folder is imported only if the user named it.
     if module.partition(".")[0] != "izoo" and str(Path.cwd()) not in sys.path:
         sys.path.append(str(Path.cwd()))
     try:
-        return getattr(importlib.import_module(module), name)
-    except (ModuleNotFoundError, AttributeError) as error:
+        found = importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{module}.".startswith(f"{error.name}."):
+            raise  # it is missing in the user's own module
         raise IzooError(f"{option}={place}: {error}.") from error
+    if not hasattr(found, name):
+        raise IzooError(f"{option}={place}: the module {module} has no {name}.")
+    return getattr(found, name)

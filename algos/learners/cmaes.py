@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import cma
 import numpy as np
@@ -53,7 +53,7 @@ class CMAESConfig(AlgoConfig):
             share of it, so that a few contexts that jam do not decide alone; null: no bound.
     """
 
-    name: Literal["cmaes"] = "cmaes"
+    name: str = "cmaes"
     population: int = 16
     initial_spread: float = 0.3
     most_difference: float | None = None

@@ -31,7 +31,7 @@ from izoo.errors import check_choice, check_range, check_types
 
 @dataclass(frozen=True)
 class DDPGConfig(AlgoConfig):
-    """Hyper-parameters of DDPG; the defaults are the preset ``tuned``.
+    """Hyper-parameters of DDPG; the defaults are ours.
 
     Sources: "RLlib" is the default of RLlib's DDPG, which the paper used with Ray 2.11 (since Ray 2.8 in
     ``rllib_contrib/ddpg/src/rllib_ddpg/ddpg/ddpg.py``); "Lillicrap" is arXiv 1509.02971; "TD3" is arXiv 1802.09477;
@@ -61,16 +61,17 @@ class DDPGConfig(AlgoConfig):
         gamma: discount per step of 0.5 s (RLlib, Lillicrap 0.99, which is ours).
         n_step: steps whose rewards are summed before the critic takes over (RLlib, Lillicrap 1; ours 20, 10 s: a step
             of 0.5 s changes little, and values spread back through the target networks that much faster; the noise on
-            the later actions is small enough to go uncorrected).
+            the later actions is small enough to go uncorrected). Where CVs do not decide in every step, a row is one
+            whole decision, and this has no effect.
         saturation_coeff: weight in the actor's loss of the squared distance, before the tanh, from the untrained output
             (RLlib, Lillicrap 0; arXiv 1707.01495, from 0 and with 1; ours 0.02). Without it a critic that is wrong at
             first drives the actor to full throttle everywhere, where the tanh has no gradient to bring it back.
         value_loss: ``l2`` (RLlib, Lillicrap) or ``smooth_l1`` (ours: bounded gradients).
         max_grad_norm: bound on each network's gradient; ``null`` for none (RLlib; ours 1).
         reward_scale: rewards are multiplied by it (RLlib 1; ours 0.1, so that values are of order 1).
-        control_variate: ``vehicle``: from what a vehicle is paid is taken what the same vehicle is paid, from the same
-            time on, in the uncommanded episode of the same context and seed, which is played beside the training: less
-            variance, no bias (:func:`izoo.algos.learners.decisions.shaped`). Needs ``simulator=twin``. ``none``:
+        control_variate: ``vehicle``: a vehicle's reward minus that of the same vehicle, from the same time on, in the
+            uncommanded episode of the same context and seed, which is played during training: less variance, no bias
+            (:func:`izoo.algos.learners.decisions.shaped`). Needs ``simulator=twin``. ``none``:
             nothing (ours).
         noise_theta: share of the exploration noise that decays per step; 1 makes it white, less makes it an
             Ornstein-Uhlenbeck process of its own for each vehicle (RLlib, Lillicrap 0.15, which is ours).
@@ -82,7 +83,7 @@ class DDPGConfig(AlgoConfig):
         hidden: widths of the hidden layers of each network (RLlib, Lillicrap 400, 300; ours 128, 128).
         activation: ``relu`` (RLlib, Lillicrap), ``tanh`` or ``silu``.
         initial_accel_mps2: acceleration of the untrained actor (RLlib: middle of the range, -0.95; ours 0.5). With
-            ``action=advise`` or ``residual`` it does nothing at first instead.
+            ``action=advise`` or ``residual`` the untrained action is 0 instead.
         stores: what a transition holds as the action: ``commanded``, what the policy chose, or ``applied``, what came
             of it. The simulator's own driver may brake harder than a command asks, and then every such command does
             the same; ``applied`` stores the acceleration that the vehicle had, and of advice that changed nothing that
@@ -91,7 +92,7 @@ class DDPGConfig(AlgoConfig):
             it checkpoints are small, and a resumed run collects ``learning_starts`` steps before it learns again.
     """
 
-    name: Literal["ddpg"] = "ddpg"
+    name: str = "ddpg"
     frames_per_batch: int = 1950
     updates_per_frame: float = 0.2
     minibatch_rows: int = 256

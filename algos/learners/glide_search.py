@@ -14,7 +14,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -51,7 +51,7 @@ class GlideSearchConfig(CMAESConfig):
         most_difference: as for CMA-ES (ours a tenth).
     """
 
-    name: Literal["glide_search"] = "glide_search"  # type: ignore[assignment]
+    name: str = "glide_search"
     initial_spread: float = 0.5
     most_difference: float | None = 0.1
     needs_env: ClassVar[bool] = True

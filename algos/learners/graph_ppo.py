@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, cast
+from typing import cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -68,7 +68,7 @@ class GCRLConfig(PPOConfig):
             512, 128; released 64, where each head is that wide; ours 128, 128).
     """
 
-    name: Literal["gcrl"] = "gcrl"  # type: ignore[assignment]
+    name: str = "gcrl"
     neighbours: int | None = 4
     range_m: float | None = 100.0
     layers: int = 2

@@ -55,7 +55,7 @@ class MAPPOConfig(PPOConfig):
         critic_embedding: width of a vehicle's embedding and of the summary (Lee et al. 128; ours the same).
     """
 
-    name: Literal["mappo"] = "mappo"  # type: ignore[assignment]
+    name: str = "mappo"
     credit: Literal["agent", "team"] = "agent"
     critic_sees: Literal["cvs", "all"] = "cvs"
     control_variate: Literal["none", "vehicle", "team"] = "none"  # type: ignore[assignment]

@@ -31,7 +31,7 @@ POPART_BETA = 0.99
 
 @dataclass(frozen=True)
 class PPOConfig(AlgoConfig):
-    """Hyper-parameters of PPO; the defaults are the preset ``tuned``.
+    """Hyper-parameters of PPO; the defaults are ours.
 
     Sources: "RLlib" is the default of Ray RLlib 2.11 (``rllib/algorithms/ppo/ppo.py`` and ``models/catalog.py``), which
     the paper used; "Schulman" is arXiv 1707.06347; "Andrychowicz" is arXiv 2006.05990; "ours" was chosen by short runs.
@@ -41,7 +41,7 @@ class PPOConfig(AlgoConfig):
         frames_per_batch: environment steps, over all workers, between two updates (RLlib collects whole episodes on
             ten workers here: 10 x 1,950; ours: 3,900, two episodes).
         rows_per_epoch: agent-steps drawn at random, without replacement, for each epoch; ``null`` uses all (RLlib).
-            The agents of one step are paid alike and see much the same, so a part of them carries most of the
+            The agents of one step have similar rewards and see much the same, so a part of them carries most of the
             information (ours).
         epochs: passes over the batch (RLlib 30; ours 4).
         minibatch_rows: agent-steps per gradient step (RLlib 128; ours 1,024, for speed).
@@ -69,9 +69,9 @@ class PPOConfig(AlgoConfig):
         max_grad_norm: bound on the gradient's norm; ``null`` for none (RLlib none; Andrychowicz 0.5, which is ours).
         reward_scale: rewards are multiplied by it before advantages are estimated (RLlib 1; ours 0.1, so that values
             are of order 1 and the value function learns within a few batches).
-        control_variate: ``vehicle``: from what a vehicle is paid is taken what the same vehicle is paid, from the same
-            time on, in the uncommanded episode of the same context and seed, which is played beside the training: less
-            variance, no bias (:func:`izoo.algos.learners.decisions.shaped`). Needs ``simulator=twin``. ``none``:
+        control_variate: ``vehicle``: a vehicle's reward minus that of the same vehicle, from the same time on, in the
+            uncommanded episode of the same context and seed, which is played during training: less variance, no bias
+            (:func:`izoo.algos.learners.decisions.shaped`). Needs ``simulator=twin``. ``none``:
             nothing (ours).
         warm_start: a scripted driver that the policy imitates before reinforcement: ``glide``, or ``none``.
             Needs ``action=advise``, in which both can leave a CV alone.
@@ -85,12 +85,12 @@ class PPOConfig(AlgoConfig):
         activation: ``tanh`` (RLlib, Andrychowicz), ``relu`` or ``silu``.
         initial_accel_mps2: median acceleration of the untrained policy. Vehicles that hardly accelerate block the road,
             and vehicles at full throttle learn slowly to do less (RLlib: middle of the range, -0.95; ours 0.5). With
-            ``action=advise`` or ``residual`` it does nothing at first instead.
+            ``action=advise`` or ``residual`` the untrained action is 0 instead.
         initial_spread: standard deviation of the untrained policy before the tanh (RLlib 1; ours 0.35, about 1 m/s^2).
             With ``action=advise`` or ``residual`` it is ``action.spread`` instead.
     """
 
-    name: Literal["ppo"] = "ppo"
+    name: str = "ppo"
     frames_per_batch: int = 3900
     rows_per_epoch: int | None = 32768
     epochs: int = 4

@@ -29,7 +29,7 @@ class TD3Config(DDPGConfig):
         target_noise_clip: most of that noise (TD3 0.5; ours the same).
     """
 
-    name: Literal["td3"] = "td3"  # type: ignore[assignment]
+    name: str = "td3"
     stores: Literal["commanded", "applied"] = "applied"
     policy_delay: int = 2
     target_noise: float = 0.2

@@ -17,9 +17,9 @@ from izoo.conf.mapping import from_mapping
 from izoo.envs import SIMULATORS
 from izoo.errors import IzooError, check_choice, check_range, unknown_choice
 from izoo.files import expanded, read_text
+from izoo.report.plots import UNTRAINED
 from izoo.zoo import catalog
 
-UNTRAINED = "_untrained"
 """Ends the name of an entry that is played as its training begins."""
 SHIPPED = resources.files("izoo.benchmarks.campaign") / "experiments"
 Kind = Literal["trained", "untrained", "scripted", "planner"]
@@ -131,7 +131,7 @@ def _combined(part: Part) -> dict[str, Entry]:
     found = {}
     for values in itertools.product(*part.grid.values()) if part.grid else ():
         words = [word for factor, value in zip(part.grid, values, strict=True) for word in part.grid[factor][value]]
-        found["-".join(values)] = Entry(train=tuple(words))
+        found["-".join(map(str, values))] = Entry(train=tuple(words))
     return found
 
 

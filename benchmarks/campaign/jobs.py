@@ -18,18 +18,21 @@ from izoo import tasks, zoo
 from izoo.algos.drivers.glide import Glide, GlideConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.benchmarks import planner
-from izoo.benchmarks.campaign.experiment import UNTRAINED, Entry, Experiment
+from izoo.benchmarks.campaign.experiment import Entry, Experiment
 from izoo.benchmarks.campaign.parallel_training import ParallelRuns
-from izoo.benchmarks.campaign.training_runs import TRAIN_FOLDER, TrainingRuns
+from izoo.benchmarks.campaign.training_runs import TrainingRuns
 from izoo.cli.compose import compose_config
 from izoo.conf.mapping import from_mapping
 from izoo.conf.quoting import written
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.context import Context
 from izoo.cores import usable_cores
+from izoo.envs import REFERENCE, SIMULATORS
 from izoo.envs.config import EnvConfig
 from izoo.metrics.pairing import BASELINES
 from izoo.metrics.summary import TRAINING
+from izoo.report.plots import UNTRAINED
+from izoo.report.report_data import TRAIN_FOLDER
 from izoo.results.policies import as_policy
 from izoo.results.rollout import Play, evaluated, missing, play_missing
 from izoo.results.selection import EpisodeSeeds
@@ -167,7 +170,7 @@ class PartRun:
 
     def _plays_in(self, simulator: str, seed: int) -> bool:
         most = self.part.sumo_seeds
-        return simulator == "twin" or most is None or seed < most
+        return simulator != REFERENCE or most is None or seed < most
 
     def missing(self) -> list[Job]:
         """Return the jobs whose frames or rows are not there."""
@@ -175,7 +178,7 @@ class PartRun:
 
     def _is_there(self, job: Job) -> bool:
         if job.kind == "train":
-            return self.runs.frames((job.entry, job.seed)) >= self.configs[job.entry, job.seed].total_frames
+            return self.runs.is_finished((job.entry, job.seed))
         return not any(missing(self.store, plays, job.simulator) for plays in self._plays(job).values())
 
     def play(self) -> None:
@@ -243,9 +246,9 @@ class PartRun:
         return named.policy
 
     def _test(self, job: Job) -> None:
-        policy, twin = self._admit(job), job.simulator == "twin"
+        policy = self._admit(job)
         options: dict[str, Any] = {"workers": self.machine.num_workers, "cache": self.machine.cache}
-        if twin:
+        if SIMULATORS[job.simulator].batched:
             options["workers"] = self.machine.threads or usable_cores()
         if self.entries.get(job.entry, ("", None))[0] == "planner":
             options |= {"record": ("team_reward",), "side_by_side": planner.AT_ONCE}
@@ -257,7 +260,7 @@ class PartRun:
         """Return what a job plays, by task: every training seed plays episodes of its own, what was not trained all."""
         kind, entry = self.entries.get(job.entry, ("scripted", Entry()))
         each, seeds = self.task.test_episodes, max((seed + 1 for _, seed in self.configs), default=1)
-        if job.simulator == "sumo" and self.part.sumo_seeds is not None:
+        if job.simulator == REFERENCE and self.part.sumo_seeds is not None:
             seeds = min(seeds, self.part.sumo_seeds)
         own = range(seeds) if kind == "scripted" else (job.seed,)
         numbers = [k * each + episode for k in own for episode in range(each)]

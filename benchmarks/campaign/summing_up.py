@@ -14,10 +14,10 @@ import numpy as np
 import pandas as pd
 
 from izoo.benchmarks.campaign.jobs import PartRun
-from izoo.benchmarks.campaign.training_runs import TRAIN_FOLDER
 from izoo.benchmarks.planner import PLANNER
 from izoo.console import counted
 from izoo.cores import usable_cores
+from izoo.envs import SIMULATORS
 from izoo.files import write_json
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import BASELINES, UNCOMMANDED, pair
@@ -25,6 +25,7 @@ from izoo.metrics.statistics import iqm
 from izoo.metrics.summary import TRAINING, Summary, summarise
 from izoo.report import plots, tables
 from izoo.report.leaderboard import write_entries
+from izoo.report.report_data import TRAIN_FOLDER
 from izoo.report.tables import SAVED, Cell, Table
 from izoo.results.schema import EPISODE
 from izoo.results.store import MANIFEST_FILE, read_manifest, read_table
@@ -60,7 +61,7 @@ def sum_up(run: PartRun, lacking: Sequence[Any] = ()) -> list[Summary]:
         save(draw([*charts, *([traded] if traded else [])], columns=2), folder / PICTURE_FILE)
     if not lacking:
         write_entries(folder)
-    curves = draw_curves(folder, list(run.part.grid))
+    curves = draw_curves(folder, run.part.grid)
     if curves:
         save(draw(curves, columns=2), folder / CURVES_FILE)
     return found
@@ -107,7 +108,7 @@ def agreement(table: pd.DataFrame) -> Table | None:
         if len(cells) == 2:
             rows.append((name, contexts, *cells))
     title = f"{FIGURES[SAVED].label} over {UNCOMMANDED} in the same episodes, over contexts"
-    return Table.of(title, ("entry", "contexts", *("SUMO" if name == "sumo" else name for name in sides)), rows)
+    return Table.of(title, ("entry", "contexts", *(SIMULATORS[name].label for name in sides)), rows)
 
 
 def headroom(table: pd.DataFrame) -> Table | None:
@@ -122,8 +123,11 @@ def headroom(table: pd.DataFrame) -> Table | None:
         for name in tables.ranking(summary)
         if name not in BASELINES
     }
-    most = cells[PLANNER].value or np.nan
-    rows = [(name, cell, f"{100.0 * (cell.value or 0.0) / most:.0f} %") for name, cell in cells.items()]
+    most = cells[PLANNER].value or 0.0
+    rows = [
+        (name, cell, "-" if cell.value is None or most <= 0.0 else f"{100.0 * cell.value / most:.0f} %")
+        for name, cell in cells.items()
+    ]
     title = f"Headroom: {counted(summary['n']['contexts'], 'context')} that the planner played"
     return Table.of(title, ("entry", FIGURES[SAVED].label, "share of the planner's"), rows)
 
@@ -141,7 +145,7 @@ def costs(folder: Path) -> Table:
 def _spent(run: Path) -> tuple[float, float, float]:
     config, table = run_folder.read_config(run), MetricsTable.read(run / run_folder.METRICS_FILE)
     decisions, episodes, seconds = (table.series(name)[1] for name in ("agent_rows", "episodes", "seconds"))
-    cores = config.twin.threads or usable_cores() if config.simulator == "twin" else config.num_workers
+    cores = config.twin.threads or usable_cores() if SIMULATORS[config.simulator].batched else config.num_workers
     hours = sum(episodes) * config.env.horizon_s / 3600.0
     return sum(decisions), hours, max(seconds, default=0.0) * cores / 3600.0
 
@@ -154,25 +158,31 @@ def _runs(folder: Path) -> dict[str, list[Path]]:
     return found
 
 
-def draw_curves(folder: Path, factors: Sequence[str] = ()) -> list[Chart]:
+def draw_curves(folder: Path, grid: Mapping[str, Mapping[str, Any]] | None = None) -> list[Chart]:
     """Return charts of what validations found against decisions: a line per entry, with a band over its seeds.
 
     Args:
-        factors: of a grid, of whose values entries' names consist: the first one's have colours, the second one's
-            dashes, and each of the third one's has charts of its own.
+        grid: values of each factor by name. Of entries that combine them, the first factor's value says the colour, the
+            second one's the dashes, and the third one's the chart; other entries stand in every chart.
     """
-    entries = {name: name.split("-") if factors else [name] for name in _runs(folder)}
-    values = [list(dict.fromkeys(of)) for of in zip(*entries.values(), strict=False)]
-    last = len(factors) - 1 if len(factors) > 2 else None
+    factors, runs = [list(values) for values in (grid or {}).values()], _runs(folder)
+    places = {
+        "-".join(values): [of.index(value) for of, value in zip(factors, values, strict=True)]
+        for values in itertools.product(*factors)
+    }
+    first = len(factors[0]) if factors else 0  # colours of the others follow
+    others = {name: [first + number] for number, name in enumerate(name for name in runs if name not in places)}
+    panels = factors[2] if len(factors) > 2 else [""]
     charts = []
-    for panel, (column, label) in itertools.product(values[last] if last and entries else [""], DRAWN.items()):
+    for (number, panel), (column, label) in itertools.product(enumerate(panels), DRAWN.items()):
         series: list[Series] = []
-        for name, own in entries.items():
-            if last is None or own[last] == panel:
-                colour = PALETTE[values[0].index(own[0]) % len(PALETTE)]
-                dash = DASHES[values[1].index(own[1]) % len(DASHES)] if len(own) > 1 else "-"
+        for name in runs:
+            own = places.get(name) or others[name]
+            if len(own) < 3 or own[2] == number:
+                dash = DASHES[own[1] % len(DASHES)] if len(own) > 1 else "-"
                 shown = name.removesuffix(f"-{panel}") if panel else name
-                series += _marks([curve(run, column) for run in _runs(folder)[name]], shown, colour, dash)
+                lines = [curve(run, column) for run in runs[name]]
+                series += _marks(lines, shown, PALETTE[own[0] % len(PALETTE)], dash)
         if series:
             title = f"{label}, {panel}" if panel else label
             charts.append(Chart(f"{column}-{panel}".strip("-"), title, series, "decisions"))

@@ -12,6 +12,7 @@ from izoo.benchmarks.campaign.parallel_training import ParallelRuns
 from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.console import Progress, counted
+from izoo.report.report_data import TRAIN_FOLDER
 from izoo.results.store import check_same
 from izoo.training import checkpoint, run_folder
 from izoo.training.loggers import MetricsTable
@@ -19,7 +20,6 @@ from izoo.training.loop import train
 
 Key = tuple[str, int]
 """Of a run: the entry's name and the training seed."""
-TRAIN_FOLDER = "train"
 LOG_SUFFIX = ".log"
 """Of the file beside a run's folder that takes what it says, where it does not learn in this process."""
 LOOK_EVERY_S = 1.0
@@ -70,7 +70,7 @@ class TrainingRuns:
             for config in (run_folder.read_config(self.run_dir(key)), self.wanted[key])
         )
         check_same(stored, mine, f"{self.run_dir(key)} was trained")
-        return self._is_finished(key)
+        return self.is_finished(key)
 
     def train(self, key: Key) -> None:
         """Train a run, or the rest of it, in this process.
@@ -112,9 +112,10 @@ class TrainingRuns:
 
     def _require_trained(self, key: Key) -> None:
         """Raise :class:`KeyboardInterrupt` where a run, or a validation that it owes, was stopped."""
-        if not self._is_finished(key):
+        if not self.is_finished(key):
             raise KeyboardInterrupt
 
-    def _is_finished(self, key: Key) -> bool:
+    def is_finished(self, key: Key) -> bool:
+        """Whether the run that is there has all its frames, and owes no validation."""
         owed = key[0] in self._validated and bool(checkpoint.candidates(self.run_dir(key)))
         return self.frames(key) >= self.wanted[key].total_frames and not owed

@@ -14,7 +14,7 @@ CORES = 16
 
 @dataclass(frozen=True)
 class Timed:
-    """What was found of calls that each make ``env_steps`` steps of environments.
+    """What was found of calls that were timed.
 
     Attributes:
         calls: how many were timed.

@@ -160,7 +160,7 @@ def _check_name(values: Mapping[str, Any], key: str) -> None:
     ]
     hint = f" Did you mean {near[0]!r}?" if near else ""
     if above in groups() and _holds(values, above):
-        having = [choice for choice, make in groups()[above].items() if hasattr(make(), last)]
+        having = [choice for choice, make in groups()[above].items() if last in to_mapping(make())]
         hint = f" It is an option of {' and '.join(f'{above}={choice}' for choice in having)}." if having else hint
     raise IzooError(f"unknown option {key!r}; choose one of: {', '.join(beside)}.{hint}")
 

@@ -42,7 +42,7 @@ def help_text(command: OptionCommand, config: Any) -> str:
     if chosen:
         own = {group: " | module:name" if group in TAKES_OWN else "" for group in chosen}
         lines += ["", "Choices:", *(f"  {group}={' | '.join(names)}{own[group]}" for group, names in chosen.items())]
-    if hasattr(config, "task"):
+    if hasattr(config, "role"):
         lines += ["", "Tasks, or module:NAME; what is known to learn there in brackets:", *_tasks()]
     lines += ["", "Options, with their defaults:", *_describe(config, "")]
     return "\n".join(lines)

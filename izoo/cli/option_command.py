@@ -42,7 +42,7 @@ class OptionCommand:
         defaults: ``module:name`` of what is given the written options by name, and returns other defaults, by group and
             name.
         place: an option that is given without its name, as in ``izoo.report FOLDER``.
-        stopped: what to say after Ctrl-C beside that it was stopped, such as how to go on.
+        stopped: what to say after Ctrl-C besides that it was stopped, such as how to go on.
     """
 
     name: str
@@ -135,6 +135,8 @@ class OptionCommand:
         from izoo.cli.compose import combinations
 
         configs = [self.compose(combination) for combination in combinations(words)]
+        if not configs:
+            raise IzooError("the sweep has no values; give at least one.")
         for name in FOLDERS:
             folders = [folder for config in configs if (folder := getattr(config, name, None)) is not None]
             if len(set(folders)) < len(folders):

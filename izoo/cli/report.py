@@ -23,13 +23,15 @@ def report(config: ReportConfig, given: frozenset[str] = frozenset()) -> Path:
     """
     folder = expanded(str(config.results))
     if sweeps.is_sweep(folder):
-        names = [field.name for field in dataclasses.fields(ReportConfig) if field.name in given - {"results"}]
+        names = [
+            field.name for field in dataclasses.fields(ReportConfig) if field.name in given - {"results", "imports"}
+        ]
         if names:
             raise IzooError(
                 f"{folder} is the folder of a sweep, to which {', '.join(names)} cannot apply: its table is written to "
                 f"{folder / sweeps.SWEEP_FILE}. Leave {', '.join(names)} out, or give the folder of one run."
             )
-        path = sweeps.report(folder)
+        path = sweeps.report(folder, imports=config.imports)
         print(f"Table: {path}", flush=True)
         return path
     path = page.write_report(

@@ -32,8 +32,8 @@ PER_CITY = 10
 
 
 @dataclass
-class TrialReport:
-    """What a trial found; times are in s: to build all nets, of each lookup and reading, and of each episode."""
+class SmokeTestReport:
+    """What was found; times are in s: to build all nets, of each lookup and reading, and of each episode."""
 
     intersections: int = 0
     episodes: int = 0
@@ -93,17 +93,17 @@ def choose(path: Path | None, names: Sequence[str] | None, count: int | None, se
     return found
 
 
-def run(specs: Sequence[IntersectionSpec], horizon_s: float, seed: int, progress: bool = False) -> TrialReport:
+def run(specs: Sequence[IntersectionSpec], horizon_s: float, seed: int, progress: bool = False) -> SmokeTestReport:
     """Build the nets in an empty cache, and play two episodes in each: demand from all approaches, and from one.
 
     A third of the vehicles are CVs that act at random. Failures are collected, not raised.
     """
     config = EnvConfig(horizon_s=horizon_s, emit=("metrics",))
-    report = TrialReport(intersections=len(specs))
+    report = SmokeTestReport(intersections=len(specs))
     driver = make_driver("random", config)
     before = os.environ.get(CACHE_ENV)
     env = EcoDrivingEnv(config=config)
-    with tempfile.TemporaryDirectory(prefix="izoo-trial-") as folder:
+    with tempfile.TemporaryDirectory(prefix="izoo-smoke-test-") as folder:
         os.environ[CACHE_ENV] = folder
         try:
             for number, spec in enumerate(track(specs, "intersections", disable=not progress)):
@@ -127,14 +127,14 @@ def _contexts(spec: IntersectionSpec, number: int) -> list[Context]:
     return [everywhere, *([Context(spec, approach=legs[number % len(legs)])] if legs else [])]
 
 
-def _build(specs: Sequence[IntersectionSpec], report: TrialReport) -> None:
+def _build(specs: Sequence[IntersectionSpec], report: SmokeTestReport) -> None:
     start = time.perf_counter()
     with contextlib.suppress(IzooError):  # raised again where that net is looked up
         build_nets(specs)
     report.build_s += time.perf_counter() - start
 
 
-def _time_net(spec: IntersectionSpec, report: TrialReport) -> bool:
+def _time_net(spec: IntersectionSpec, report: SmokeTestReport) -> bool:
     """Look up and read a net; say whether that worked."""
     try:
         times = [time.perf_counter()]
@@ -151,7 +151,7 @@ def _time_net(spec: IntersectionSpec, report: TrialReport) -> bool:
     return True
 
 
-def _play(env: EcoDrivingEnv, driver: object, context: Context, seed: int, report: TrialReport) -> None:
+def _play(env: EcoDrivingEnv, driver: object, context: Context, seed: int, report: SmokeTestReport) -> None:
     report.episodes += 1
     start = time.perf_counter()
     try:

@@ -62,11 +62,10 @@ class TrainingTwinConfig(TwinConfig):
 
     Attributes:
         stagger: environments of a training run begin at random phases of their first episodes, so that every batch sees
-            all times of an episode; until there nobody commands the CVs, and these episodes are left out of what is
-            logged. false: all episodes begin, and end, together.
-        compare_every: each so many-th training episode is compared with the same one under human and under uncommanded
-            driving, which the learning curve shows; these are played beside the training, and kept in the cache. 0:
-            none.
+            all times of an episode; until then CVs are uncommanded, and these episodes are left out of what is logged.
+            false: all episodes begin, and end, together.
+        compare_every: every Nth training episode is compared with the same one under human and under uncommanded
+            driving, which the learning curve shows; these are played during training, and kept in the cache. 0: none.
     """
 
     stagger: bool = True
@@ -91,8 +90,8 @@ class LevelsConfig:
         kept: how many levels are kept: those with the greatest scores (PLR: all of a finite set; ours 256).
         score: of a level: the mean over its agent-steps of the advantage's ``magnitude`` (PLR), or of its ``positive``
             part, what went better than expected.
-        temperature: the less, the more a great score counts: the chance falls with the rank, to the power of minus one
-            by this (PLR 0.1; ours the same).
+        temperature: a level's probability is proportional to its rank to the power of -1/temperature (PLR 0.1; ours
+            the same).
         staleness: share of the chance that goes by how long ago a level was played instead (PLR 0.1; ours the same).
     """
 
@@ -206,8 +205,8 @@ class TrainConfig:
             simulator, where these are not given; null: none.
         algo: the algorithm and its hyper-parameters.
         action: whether the policy commands accelerations (``direct``), desired speeds that the vehicle's own
-            car-following keeps to (``speed``), advises the simulator's own driver (``advise``) or corrects a scripted
-            one (``residual``).
+            car-following keeps to (``speed``), says when vehicles should arrive (``arrive``), advises the simulator's
+            own driver (``advise``) or corrects a scripted one (``residual``).
         contexts: which contexts episodes are drawn from.
         levels: which of these are played.
         env: the environment.
@@ -220,8 +219,8 @@ class TrainConfig:
             the run is on SUMO either way.
         twin: how the twin runs.
         seed: base seed: episodes, drivers, network weights, exploration.
-        num_workers: environments on SUMO, each in a process of its own (but for ``collector=single``), and processes
-            of the comparison that ends the run.
+        num_workers: environments on SUMO, each in a process of its own (but for ``collector=single``), and workers
+            of the final evaluation.
         num_envs: environments on the twin; null: 64.
         device: where the learner's networks and replay live: ``cpu``, ``cuda``, or ``auto``: a GPU where there is one.
             Collection stays on the CPU. The presets' networks are small; a GPU pays off for larger ones.
@@ -230,8 +229,9 @@ class TrainConfig:
             observes and what its actions stand for must be the same. The value function and all else begin anew. null:
             random weights.
         run_dir: folder of the run; null: ``runs/<date-time>-<algo>-seed<seed>`` in the current folder.
-        resume: folder of a run to go on with; its own options are used, except ``total_frames`` and ``num_workers``
-            where given.
+        resume: folder of a run to go on with; its own options are used, but for those of how it is run, where given:
+            ``total_frames``, ``num_workers``, ``num_envs``, ``twin``, ``device``, ``collector``, ``logger``,
+            ``validation``, ``evaluation`` and ``checkpoint``.
     """
 
     task: str | None = None
@@ -315,8 +315,8 @@ class CollectConfig:
     """Options of a data collection.
 
     Attributes:
-        policy: a scripted driver (``random``, ``constant``, ``glide``, or ``uncommanded``: every controlled vehicle is
-            left to IDM), a trained policy that ships (``zoo:NAME``) or was exported (``FILE.pt``), the folder of a
+        policy: a scripted driver (``random``, ``constant``, ``glide``, or ``uncommanded``: every controlled vehicle
+            is left alone), a trained policy that ships (``zoo:NAME``) or was exported (``FILE.pt``), the folder of a
             training run, or one's own, ``module:function``.
         frames: environment steps to store.
         out: a new or empty folder for the data.

@@ -270,5 +270,5 @@ def _interval(value: float, parts: Sequence[Part], n: int, places: int, seeds: t
     p = 2.0 * student_t_below(-abs(value) / error, degrees)
     few = any(1 < count < MIN_TRAIN_SEEDS for count in seeds)
     missing = f"not over training seeds, which needs {MIN_TRAIN_SEEDS}" if few else ""
-    over = INTERSECTIONS if len(parts) == 1 else INTERSECTIONS_AND_SEEDS
+    over = INTERSECTIONS if few or len(parts) == 1 else INTERSECTIONS_AND_SEEDS
     return Estimate(value, value - half, value + half, n, places, max(seeds), over, missing, p)

@@ -203,7 +203,8 @@ class Entry:
     @property
     def simulator(self) -> str:
         """What played: SUMO where it did."""
-        return str(min(self.table["simulator"]))
+        played = set(self.table["simulator"])
+        return REFERENCE if REFERENCE in played else str(min(played))
 
     @property
     def marks(self) -> tuple[str, ...]:

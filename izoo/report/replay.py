@@ -208,5 +208,7 @@ class Player:
         if not there:
             raise IzooError(f"the checkpoint {places[0]} is gone.")
         for path in there:
+            if not self._imports and not zoo.named(str(path)):
+                run_folder.read_config(checkpoint.run_of(path), imports=False)
             exported = zoo.named(str(path))
             yield zoo.load(exported).policy if exported else run_folder.load_algorithm(path)[0].policy.eval()

@@ -53,7 +53,7 @@ def is_sweep(folder: Path) -> bool:
     )
 
 
-def read_run(run_dir: Path) -> dict[str, Any]:
+def read_run(run_dir: Path, imports: bool = False) -> dict[str, Any]:
     """Return what a run has achieved, with its options, each a text, under ``option PATH``.
 
     ``state`` is ``finished``, ``unfinished`` (killed, stopped, or still running) or a reason why it cannot be read.
@@ -61,7 +61,7 @@ def read_run(run_dir: Path) -> dict[str, Any]:
     row: dict[str, Any] = {"run": run_dir.name, "state": "unfinished", "frames": 0, "seconds": 0.0}
     row |= dict.fromkeys(MEASURES)
     try:
-        config = run_folder.read_config(run_dir)
+        config = run_folder.read_config(run_dir, imports)
     except IzooError as error:
         return {**row, "state": str(error)}
     row |= {OPTION + path: "" if value is None else str(value) for path, value in flat(to_mapping(config)).items()}
@@ -90,18 +90,19 @@ def varied(table: pd.DataFrame) -> list[str]:
     return found or ["algo.name"]
 
 
-def report(folder: Path, console: Console | None = None) -> Path:
+def report(folder: Path, console: Console | None = None, imports: bool = False) -> Path:
     """Print the table of the sweep in ``folder``; write it and the learning curves there; return the choices' file.
 
     The table has a row per choice: the varied options, ``runs``, ``finished``, the mean of each of :data:`MEASURES`
-    over the runs that have it, frames in all, and hours per run.
+    over the runs that have it, frames in all, and hours per run. ``imports`` allows to import algorithms that are
+    written ``module:Class``.
 
     Raises:
         IzooError: there are no runs.
     """
     check_folder(folder, "give the folder of a sweep (izoo.train -m ...)")
     found = sorted((path.parent for path in folder.rglob(run_folder.CONFIG_FILE)), key=_natural)
-    table = pd.DataFrame([read_run(run_dir) for run_dir in found])
+    table = pd.DataFrame([read_run(run_dir, imports) for run_dir in found])
     table[list(MEASURES)] = table[list(MEASURES)].astype(float)
     options = varied(table)
     chosen = table.reindex(columns=[OPTION + path for path in options]).fillna("").set_axis(options, axis=1)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import copy
-import functools
 import hashlib
-import importlib
 import inspect
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,6 +19,7 @@ from izoo.algos.learners.registry import cap_share
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, unknown_choice
 from izoo.files import expanded
+from izoo.imports import imported
 from izoo.metrics.pairing import BASELINES
 from izoo.results.playing import Policy
 from izoo.results.store import PolicyRecord, own_settings
@@ -70,16 +69,7 @@ def as_policy(policy: str | Policy, config: EnvConfig, name: str | None = None) 
 
 def import_policy(reference: str) -> Policy:
     """Import ``module:function``; a class is called without arguments."""
-    module_name, _, attribute = reference.partition(":")
-    if not module_name or module_name.startswith(".") or not all(map(str.isidentifier, attribute.split("."))):
-        raise IzooError(
-            f"{reference!r} is not a policy: it is written module:function, such as mine:drive for the function drive "
-            "of mine.py, whose folder is on PYTHONPATH."
-        )
-    try:
-        found: Any = functools.reduce(getattr, attribute.split("."), importlib.import_module(module_name))
-    except (ImportError, AttributeError) as error:
-        raise IzooError(f"cannot import the policy {reference!r}: {error}. It is written module:function.") from error
+    found: Any = imported("policy", reference)
     policy: Any = found() if inspect.isclass(found) else found
     if not callable(policy):
         raise IzooError(f"the policy {reference!r} is a {type(policy).__name__}; name a function, a module or a class.")

@@ -45,10 +45,7 @@ def save(run_dir: Path, frames: int, state: dict[str, Any], keep: int) -> Path:
             torch.save({"format": FORMAT, "frames": frames, **state}, partial)
     except RuntimeError as error:  # of torch, where a write fails
         raise OSError(errno.EIO, "it was not written whole; is the disk full?", str(path)) from error
-    there = listed(run_dir)
-    until = there.index(path) + 1
-    # Later ones belong to what was given up when the run was resumed further back.
-    for old in [*there[:until][:-keep], *there[until:]]:
+    for old in listed(run_dir)[:-keep]:
         old.unlink(missing_ok=True)
     return path
 

@@ -170,7 +170,13 @@ def worker_env(
     torch.manual_seed((config.seed * 65_537 + worker + done * 1_000_003) % 2**63)
     count = config.num_workers
     env = TrainingEnv(
-        schedule, config=config.env, seed=config.seed, worker=worker, num_workers=count, histories=histories
+        schedule,
+        config=config.env,
+        seed=config.seed,
+        worker=worker,
+        num_workers=count,
+        simulator=config.simulator,
+        histories=histories,
     )
     if counts is not None:
         env.steps_taken = open_counts(counts, count)[worker : worker + 1]

@@ -147,8 +147,12 @@ def _same_drivers(path: Path, kept: DriverPopulation) -> bool:
         return False
 
 
-def read_config(run_dir: Path) -> TrainConfig:
+def read_config(run_dir: Path, imports: bool = True) -> TrainConfig:
     """Read the options of a run.
+
+    Args:
+        run_dir: the run.
+        imports: whether an algorithm that is written ``module:Class`` may be imported; runs of others may name any.
 
     Raises:
         IzooError: the folder is not a run, or its options cannot be read.
@@ -158,6 +162,9 @@ def read_config(run_dir: Path) -> TrainConfig:
         raise IzooError(f"{run_dir} has no {CONFIG_FILE}; give the folder of a training run.")
     with reading(path):
         values = yaml.safe_load(path.read_text())
+        algorithm = str(values["algo"]["name"])
+        if ":" in algorithm and not imports:
+            raise IzooError(f"the run {run_dir} is of the code {algorithm}; imports=true allows to import it.")
         try:
             return from_mapping(TrainConfig, values)
         except IzooError as error:

@@ -41,6 +41,10 @@ def last_good(run_dir: Path) -> str:
     return f"The last good checkpoint is {kept[-1]}; make room, then go on: resume={run_dir}."
 
 
+class CollectionLostError(UnfinishedError):
+    """What collects has ended."""
+
+
 class Session:
     """One stretch of a training run.
 
@@ -67,6 +71,9 @@ class Session:
             UnfinishedError: the last weights could not be saved.
             KeyboardInterrupt: the run was interrupted; what was learned until then is saved.
         """
+        for path in checkpoint.listed(self.run_dir):
+            if checkpoint.frames_of(path) > self.state.frames:
+                path.unlink()  # given up, as their rows are, where a run is resumed further back
         self.table = loggers.MetricsTable(self.run_dir / run_folder.METRICS_FILE, self.state.frames)
         self.validator = Validator(self.config, self.run_dir, self.state.frames)
         self.sinks = loggers.make_sinks(self.config.logger, self.run_dir)
@@ -111,7 +118,7 @@ class Session:
             self.state.load(batches)
             self._learn_from(batches, interrupt)
             state.environments = batches.environments()
-        except UnfinishedError:
+        except CollectionLostError:
             if not interrupt.requested:  # else a signal to the whole job may have ended the processes that collect
                 raise
         finally:
@@ -144,7 +151,10 @@ class Session:
         """Collect one batch, learn from it, and return its row of the table."""
         start = time.perf_counter()
         torch.set_num_threads(1)  # idle learner threads would spin on the simulators' cores
-        batch = batches.next()
+        try:
+            batch = batches.next()
+        except UnfinishedError as error:
+            raise CollectionLostError(*error.args) from error
         collected = time.perf_counter()
         stats = episode_stats(batch, self.config.staggered)
         if self._baselines is not None:

@@ -1,4 +1,4 @@
-"""``python -m izoo.zoo``: the trained policies that ship, and how to put one on the shelf."""
+"""``python -m izoo.zoo``: the trained policies that ship, and how to export your own."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""What stands on the shelf, and policies in files of one's own: names, files and cards. Nothing here loads PyTorch."""
+"""Shipped policies, and policies in files of one's own: names, files and cards. Nothing here loads PyTorch."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from izoo.files import expanded
 
 PREFIX = "zoo:"
 """``policy=zoo:NAME`` means the shipped policy ``NAME``."""
-SHELF = Path(__file__).parent / "policies"
+FOLDER = Path(__file__).parent / "policies"
 WEIGHTS, CARD = ".pt", ".md"
 EXPORT = "python -m izoo.zoo export"
 """The command that writes the policy of a run as a file."""
@@ -17,7 +17,7 @@ EXPORT = "python -m izoo.zoo export"
 
 def names() -> tuple[str, ...]:
     """Return the names of the policies that ship, in order."""
-    return tuple(sorted(path.stem for path in SHELF.glob(f"*{WEIGHTS}")))
+    return tuple(sorted(path.stem for path in FOLDER.glob(f"*{WEIGHTS}")))
 
 
 def check_name(name: str) -> None:
@@ -71,7 +71,7 @@ def _is_checkpoint(path: Path) -> bool:
 def weights(name: str) -> Path:
     """Return the file that holds a shipped policy."""
     check_name(name)
-    return SHELF / f"{name}{WEIGHTS}"
+    return FOLDER / f"{name}{WEIGHTS}"
 
 
 def card(name: str) -> str:
@@ -81,7 +81,7 @@ def card(name: str) -> str:
         IzooError: no policy of that name ships.
     """
     check_name(name)
-    path = SHELF / f"{name}{CARD}"
+    path = FOLDER / f"{name}{CARD}"
     if not path.is_file():
         raise IzooError(f"the policy {name} has lost its card {path}; install izoo again.")
     return path.read_text(encoding="utf-8")

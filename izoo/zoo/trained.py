@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from izoo.algos.actions.action_modes import ActionConfig
+from izoo.algos.learners import registry
 from izoo.algos.learners.registry import AlgoConfig, make_algorithm
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import TrainConfig
@@ -112,6 +113,9 @@ def read(path: Path) -> TrainedPolicy:
         raise IzooError(f"{path} is cut short or not a policy; get it again.") from error
     if not isinstance(state, dict) or state.get("format") != FORMAT:
         raise IzooError(f"{path} is not a policy of this version of izoo ({FORMAT}); export it from its run again.")
+    options: Any = state.get("options")
+    algo: Any = options.get("algo") if isinstance(options, dict) else None
+    _check_algorithm(str(algo.get("name")) if isinstance(algo, dict) else "", path)
     try:
         config = from_mapping(TrainConfig, {name: state["options"][name] for name in KEPT})
         policy = make_algorithm(config.algo, config.action, config.env).policy
@@ -129,11 +133,24 @@ def write(path: Path, config: TrainConfig, policy: TensorDictModuleBase) -> None
         path: the file; its stem becomes the policy's name.
         config: options of the run.
         policy: the algorithm's.
+
+    Raises:
+        IzooError: the algorithm is not one of izoo's.
     """
     import torch
 
+    _check_algorithm(config.algo.name, path)
     env = dataclasses.replace(full_episodes(config.env), emit=EnvConfig().emit)
     options = to_mapping(dataclasses.replace(config, env=env))
     state = {name: tensor.detach().cpu() for name, tensor in policy.state_dict().items()}
     with replacing(path) as partial:
         torch.save({"format": FORMAT, "options": {name: options[name] for name in KEPT}, "policy": state}, partial)
+
+
+def _check_algorithm(name: str, path: Path) -> None:
+    """Raise :class:`IzooError` for an algorithm of somebody's own code, which a file could make izoo import and run."""
+    if name not in registry.ALGORITHMS:
+        raise IzooError(
+            f"{path} would hold a policy of the algorithm {name}; files hold those of {', '.join(registry.ALGORITHMS)} "
+            "alone. Evaluate the run itself: run=FOLDER."
+        )
