@@ -24,6 +24,7 @@ from izoo.report.report_data import collect
 from izoo.results import read_table
 from izoo.results.store import read_manifest
 from izoo.training import checkpoint
+from izoo.training.loggers import MetricsTable
 from izoo.training.run_folder import owned, read_config
 from tests.report.made_tables import table
 
@@ -209,3 +210,20 @@ def test_headroom_is_a_share_of_what_the_planner_saves() -> None:
     assert found is not None and "8 contexts" in found.title
     shares = {row.label: row.cells[1] for row in found.rows}
     assert shares["planner"] == "100 %" and 45 < int(str(shares["ppo"]).split()[0]) < 56
+
+
+def test_curves_of_three_factors_stand_beside_another_entry(tmp_path: Path) -> None:
+    names = ["ppo-near-wet", "ppo-far-dry", "td3-near-wet", "other"]
+    for name in names:
+        run = tmp_path / "train" / name / "seed0"
+        run.mkdir(parents=True)
+        MetricsTable(run / "metrics.csv").append({"frames": 40, "agent_rows": 7})
+        MetricsTable(run / "validation.csv").append({"frames": 40, "co2_saved": 1.0, "delay_change_s": 0.0})
+    factors = {"algo": ["ppo", "td3"], "from": ["near", "far"], "on": ["wet", "dry"]}
+    grid = {factor: dict.fromkeys(values) for factor, values in factors.items()}
+    charts = {chart.name: chart.series for chart in draw_curves(tmp_path, grid)}
+    assert list(charts) == ["co2_saved-wet", "delay_change_s-wet", "co2_saved-dry", "delay_change_s-dry"]
+    assert [one.name for one in charts["co2_saved-wet"]] == ["other", "ppo-near", "td3-near"]
+    assert [one.name for one in charts["co2_saved-dry"]] == ["other", "ppo-far"]
+    assert len({one.colour for one in charts["co2_saved-wet"]}) == 3
+    assert [one.dash for one in charts["co2_saved-dry"]] == ["-", "--"]
