@@ -240,6 +240,12 @@ def test_every_run_of_a_sweep_has_a_folder(monkeypatch: pytest.MonkeyPatch) -> N
     assert [Path(folder).name for folder in folders[4:]] == ["ppo-0", "ppo-1"]
 
 
+def test_an_empty_sweep_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    assert train.main(["-m", "seed=range(0,0)"]) == 2
+    said = capsys.readouterr().err
+    assert "the sweep has no values; give at least one." in said and said.count("\n") == 1
+
+
 def test_a_sweep_over_evaluations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     words = ["policy=uncommanded", "contexts=pcg_easy", "env.horizon_s=60", "num_workers=0", "seeds=1,2"]

@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import pickle
+import re
 import shutil
 import signal
 import subprocess
@@ -17,7 +18,7 @@ from typing import Any
 
 import pytest
 import torch
-from tensordict import MemoryMappedTensor, NonTensorData
+from tensordict import MemoryMappedTensor, NonTensorData, TensorDict
 from torchrl.data import TensorDictReplayBuffer, TensorStorage
 from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement, SliceSampler
 
@@ -161,7 +162,7 @@ def test_slices_are_of_one_episode_of_one_environment(tmp_path: Path, monkeypatc
     ("words", "message"),
     [
         ([], "out=DIR"),
-        (["out=o", "policy=tests.results.odd_policies:nobody"], "It is written module:function"),
+        (["out=o", "policy=tests.results.odd_policies:nobody"], "odd_policies has no nobody"),
         (["out=o", "policy=rnadom"], "Did you mean 'random'?"),
         (["out=o", "frames=0"], "frames is 0"),
         (["out=o", "contexts=dataset", "contexts.path=missing"], "missing"),
@@ -182,6 +183,51 @@ def test_bad_input_leaves_nothing_behind(
     assert collect.main(words) == 2
     assert message in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def _changed(**entries: Any) -> Callable[[dict[str, Any]], str]:
+    return lambda manifest: json.dumps({**manifest, **entries})
+
+
+def _shard(**entries: Any) -> Callable[[dict[str, Any]], str]:
+    return lambda manifest: json.dumps({**manifest, "shards": [{**manifest["shards"][0], **entries}]})
+
+
+MANIFESTS: dict[str, tuple[Callable[[dict[str, Any]], str], str]] = {
+    "cut short": (lambda manifest: "{", "damaged"),
+    "nested lists": (lambda manifest: 100_000 * "[", "damaged"),
+    "a list": (lambda manifest: "[1, 2]", "damaged"),
+    "another format": (_changed(format="other"), "of format 'other'"),
+    "no environments": (_changed(environments=0), "environments is 0"),
+    "no shards": (_changed(shards=[]), "lacks any shard"),
+    "a missing shard": (_shard(name="shard-00007"), "lacks shard-00007"),
+    "the parent folder": (_shard(name=".."), "'..' is not the name of a shard"),
+    "its own folder": (_shard(name="."), "'.' is not the name of a shard"),
+    "another folder": (_shard(name="a/shard-00000"), "'a/shard-00000' is not the name of a shard"),
+    "no frames": (_shard(frames=0), "not as manifest.json says"),
+    "negative frames": (_shard(frames=-5), "not as manifest.json says"),
+    "too many frames": (_shard(frames=10**6), "not as manifest.json says"),
+    "endless frames": (_shard(frames=float("inf")), "damaged"),
+}
+
+
+@pytest.mark.parametrize("name", MANIFESTS)
+def test_hostile_manifests_are_refused(data: Path, tmp_path: Path, name: str) -> None:
+    shutil.copytree(data, tmp_path / "data")
+    path, (change, message) = tmp_path / "data" / MANIFEST, MANIFESTS[name]
+    path.write_text(change(json.loads(path.read_text())))
+    with pytest.raises(IzooError, match=re.escape(message)):
+        collect.load(tmp_path / "data")
+
+
+def test_shards_of_other_shapes_are_refused(data: Path, tmp_path: Path) -> None:
+    shutil.copytree(data, tmp_path / "data")
+    TensorDict({"done": torch.zeros(300, 1)}, [300]).memmap(str(tmp_path / "data" / "shard-00001"))
+    path = tmp_path / "data" / MANIFEST
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps({**content, "shards": [*content["shards"], {"name": "shard-00001", "frames": 300}]}))
+    with pytest.raises(IzooError, match="its shards hold different things"):
+        collect.load(tmp_path / "data")
 
 
 def _shorten(path: Path) -> None:

@@ -15,8 +15,11 @@ import pytest
 
 from izoo import evaluate, train
 from izoo.algos.learners import registry
+from izoo.algos.learners.ppo import PPOConfig
 from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
+from izoo.errors import IzooError
+from izoo.imports import imported
 from izoo.training import checkpoint, run_folder
 from izoo.training.validation import VALIDATION_FILE
 from tests.docs.blocks import DOCS, blocks_of
@@ -84,3 +87,47 @@ def test_own_choices_have_help_and_options(capsys: pytest.CaptureFixture[str]) -
     config = compose_config(TrainConfig, [ALGO, "contexts=hills:Downhill"])
     assert registry.make_algorithm(config.algo, config.action, config.env).policy is not None
     assert evaluate.COMMAND.compose(["task=my_tasks:SHORT", "policy=glide"]).num_contexts == 2
+
+
+@pytest.fixture
+def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A module of the user's in the current folder, still to be written."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    yield tmp_path / "mine.py"
+    sys.modules.pop("mine", None)
+
+
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [
+        (":Mine", "policy=:Mine is not of the form module:name, such as mine:drive."),
+        ("mine:", "policy=mine: is not of the form module:name, such as mine:drive."),
+        (".mine:drive", "policy=.mine:drive is not of the form module:name, such as mine:drive."),
+        ("nowhere.mine:drive", "policy=nowhere.mine:drive: No module named 'nowhere'."),
+        ("mine.deeper:drive", "policy=mine.deeper:drive: No module named 'mine.deeper'; 'mine' is not a package."),
+        ("mine:other", "policy=mine:other: the module mine has no other."),
+    ],
+)
+def test_a_place_where_nothing_is_is_one_sentence(mine: Path, place: str, message: str) -> None:
+    mine.write_text("drive = 1\n")
+    assert imported("policy", "mine:drive") == 1
+    with pytest.raises(IzooError) as caught:
+        imported("policy", place)
+    assert str(caught.value) == message
+
+
+@pytest.mark.parametrize(
+    ("code", "kind"), [("import nowhere_at_all", ModuleNotFoundError), ("1 / 0", ZeroDivisionError)]
+)
+def test_errors_in_the_users_module_are_theirs(mine: Path, code: str, kind: type[Exception]) -> None:
+    mine.write_text(f"{code}\n")
+    with pytest.raises(kind):
+        imported("policy", "mine:drive")
+
+
+def test_a_variant_of_an_algorithm_composes_with_its_options(mine: Path) -> None:
+    mine.write_text("from izoo.algos.learners.ppo import PPO\n\n\nclass Mine(PPO):\n    pass\n")
+    config = compose_config(TrainConfig, ["algo=mine:Mine", "algo.hidden=[8]"])
+    assert isinstance(config.algo, PPOConfig) and (config.algo.name, config.algo.hidden) == ("mine:Mine", (8,))
+    assert type(registry.make_algorithm(config.algo, config.action, config.env)).__name__ == "Mine"

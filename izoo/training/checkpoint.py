@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from izoo.errors import IzooError
-from izoo.files import reading, replacing
+from izoo.files import check_parts, reading, replacing
 
 FORMAT = "izoo-checkpoint-4"
 _NAME = re.compile(r"step-(\d+)\.pt")
@@ -65,6 +65,7 @@ def load(path: Path) -> dict[str, Any]:
     import torch
 
     with reading(path):
+        check_parts(path)
         state = torch.load(path, map_location="cpu", weights_only=True)
         if state["format"] != FORMAT:
             raise ValueError(f"it is not of format {FORMAT}")

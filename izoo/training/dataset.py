@@ -97,5 +97,8 @@ def _read_manifest(folder: Path | str) -> tuple[int, list[tuple[str, int]]]:
         manifest = json.loads(path.read_text())
         if manifest["format"] != FORMAT:
             raise ValueError(f"it is of format {manifest['format']!r}, not {FORMAT}")
-        shards = [(Path(shard["name"]).name, int(shard["frames"])) for shard in manifest["shards"]]
+        shards = [(shard["name"], int(shard["frames"])) for shard in manifest["shards"]]
+        for name, _ in shards:
+            if name in ("", "..") or name != Path(name).name:
+                raise ValueError(f"{name!r} is not the name of a shard")
         return check_whole("environments", manifest["environments"], 1, MAX_ENVS), shards

@@ -24,6 +24,7 @@ from izoo.report.report_data import collect
 from izoo.results import read_table
 from izoo.results.store import read_manifest
 from izoo.training import checkpoint
+from izoo.training.loggers import MetricsTable
 from izoo.training.run_folder import owned, read_config
 from tests.report.made_tables import table
 
@@ -84,7 +85,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def assert_everything_is_there(folder: Path, seeds: int = 1) -> None:
+def assert_everything_is_there(folder: Path, seeds: int = 1, frames: int = 200) -> None:
     part = folder / "lane"
     assert read_manifest(part).complete
     assert image.imread(part / "saved.png").shape[2] == 4
@@ -92,8 +93,8 @@ def assert_everything_is_there(folder: Path, seeds: int = 1) -> None:
     assert set(rows["policy"]) == ENTRIES and set(rows["task"]) == {"busy_lane", "busy_lane, training contexts"}
     played = rows.groupby(["policy", "train_seed"])["seed"].size()
     assert played["ppo"].tolist() == [4] * seeds and played["glide"].tolist() == [4 * seeds]
-    frames = [line.split(",")[0] for line in (part / "train/ppo/seed0/metrics.csv").read_text().splitlines()[1:]]
-    assert [int(number) for number in frames] == list(range(40, 201, 40)), "a batch was lost or counted twice"
+    logged = [line.split(",")[0] for line in (part / "train/ppo/seed0/metrics.csv").read_text().splitlines()[1:]]
+    assert [int(number) for number in logged] == list(range(40, frames + 1, 40)), "a batch was lost or counted twice"
     (summary,) = json.loads((part / "summary.json").read_text())
     assert summary["entries"]["ppo"]["train_seeds"] == seeds and set(summary["gaps"]) == ENTRIES - {
         "human",
@@ -123,22 +124,31 @@ def test_everything_is_there(done: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("runs_at_once", [1, 2])
 def test_a_campaign_that_was_stopped_by_ctrl_c_and_then_killed_goes_on(tmp_path: Path, runs_at_once: int) -> None:
-    folder, more = tmp_path / "a", [f"runs_at_once={runs_at_once}"]
-    process = start(folder, *more, seeds=runs_at_once)
+    folder, more, lane = tmp_path / "a", [f"runs_at_once={runs_at_once}"], {"seeds": runs_at_once}
+    lane["train"] = ["total_frames=600"]
+
+    def frames() -> int:
+        return checkpoint.frames_of(checkpoint.listed(folder / "lane/train/ppo/seed0")[-1])
+
+    def is_missing() -> bool:
+        assert campaign.main([*words(folder, **lane), "play=false"]) == 0
+        return "Still missing: " in (folder / "tables.md").read_text()
+
+    process = start(folder, *more, **lane)
     wait_for_frames(folder, 40, process)
     process.send_signal(signal.SIGINT)
     output = process.communicate(timeout=120)[0]
     assert process.returncode == 130 and "the same command goes on where it stopped." in output, output
-    assert campaign.main([*words(folder, seeds=runs_at_once), "play=false"]) == 0
-    assert "Still missing: " in (folder / "tables.md").read_text()
-    process = start(folder, *more, seeds=runs_at_once)
-    time.sleep(8.0)
+    assert is_missing()
+    process = start(folder, *more, **lane)
+    wait_for_frames(folder, frames() + 40, process)
     process.kill()
     process.communicate()
     for seed in range(runs_at_once):
         wait_until_nobody_trains(folder / f"lane/train/ppo/seed{seed}")
-    assert campaign.main([*words(folder, seeds=runs_at_once), *more]) == 0
-    assert_everything_is_there(folder, runs_at_once)
+    assert frames() < 600 and is_missing()
+    assert campaign.main([*words(folder, **lane), *more]) == 0
+    assert_everything_is_there(folder, runs_at_once, 600)
 
 
 @pytest.mark.slow
@@ -170,6 +180,10 @@ def test_what_does_not_belong_to_the_campaign_is_refused(
     with claimed(copy / "lane"):
         assert campaign.main(words(copy)) == 2
         assert "another process" in capsys.readouterr().err
+    with owned(copy / "lane/train/ppo/seed0"):
+        assert campaign.main(words(copy, train=["total_frames=240"])) == 2
+        said = capsys.readouterr().err
+        assert "this run is being trained; wait for its end, or stop it" in said and said.count("\n") == 1
     config = read_config(copy / "lane" / "train/ppo/seed0")
     assert config.env.decide == "vehicle" and config.contexts.name == "pcg"
 
@@ -209,3 +223,20 @@ def test_headroom_is_a_share_of_what_the_planner_saves() -> None:
     assert found is not None and "8 contexts" in found.title
     shares = {row.label: row.cells[1] for row in found.rows}
     assert shares["planner"] == "100 %" and 45 < int(str(shares["ppo"]).split()[0]) < 56
+
+
+def test_curves_of_three_factors_stand_beside_another_entry(tmp_path: Path) -> None:
+    names = ["ppo-near-wet", "ppo-far-dry", "td3-near-wet", "other"]
+    for name in names:
+        run = tmp_path / "train" / name / "seed0"
+        run.mkdir(parents=True)
+        MetricsTable(run / "metrics.csv").append({"frames": 40, "agent_rows": 7})
+        MetricsTable(run / "validation.csv").append({"frames": 40, "co2_saved": 1.0, "delay_change_s": 0.0})
+    factors = {"algo": ["ppo", "td3"], "from": ["near", "far"], "on": ["wet", "dry"]}
+    grid = {factor: dict.fromkeys(values) for factor, values in factors.items()}
+    charts = {chart.name: chart.series for chart in draw_curves(tmp_path, grid)}
+    assert list(charts) == ["co2_saved-wet", "delay_change_s-wet", "co2_saved-dry", "delay_change_s-dry"]
+    assert [one.name for one in charts["co2_saved-wet"]] == ["other", "ppo-near", "td3-near"]
+    assert [one.name for one in charts["co2_saved-dry"]] == ["other", "ppo-far"]
+    assert len({one.colour for one in charts["co2_saved-wet"]}) == 3
+    assert [one.dash for one in charts["co2_saved-dry"]] == ["-", "--"]

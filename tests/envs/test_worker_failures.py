@@ -7,9 +7,11 @@ import dataclasses
 import functools
 import gc
 import os
+import re
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -23,16 +25,22 @@ from torchrl.envs import ObservationNorm, TransformedEnv
 
 from izoo.contexts.context import Context
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv
+from izoo.envs.sumo import simulator
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
-from tests.envs.worlds import crossing, defer, digest, play, play_on, process_of, set_action, short, steer
+from izoo.networks.road import RoadNet
+from izoo.traffic.sampling import Traffic, write_routes
+from tests.envs.worlds import crossing, defer, digest, play, play_on, process_of, same, set_action, short, steer
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and sends signals")
 
 
+WATCHDOG_S = 4.0
+
+
 @pytest.fixture
 def pair() -> Iterator[SumoParallelEnv]:
-    with contextlib.closing(SumoParallelEnv(2, crossing(), config=short(watchdog_s=4.0), seed=6)) as env:
+    with contextlib.closing(SumoParallelEnv(2, crossing(), config=short(watchdog_s=WATCHDOG_S), seed=6)) as env:
         yield env
 
 
@@ -58,13 +66,16 @@ def undisturbed(steps: int) -> TensorDict:
 
 
 @pytest.mark.parametrize(
-    ("number", "index"), [pytest.param(signal.SIGKILL, 0, marks=pytest.mark.slow), (signal.SIGSTOP, 1)]
+    ("number", "limit_s", "index"),
+    [pytest.param(signal.SIGKILL, 5.0, 0, marks=pytest.mark.slow), (signal.SIGSTOP, WATCHDOG_S + 10.0, 1)],
 )
-def test_a_lost_worker_costs_only_its_episode(pair: SumoParallelEnv, number: int, index: int) -> None:
+def test_a_lost_worker_costs_only_its_episode(pair: SumoParallelEnv, number: int, limit_s: float, index: int) -> None:
     before, state = play_on(pair, 60, steer, pair.reset())
     lost, other = process_of(pair, index), 1 - index
     os.kill(lost, number)
+    began = time.monotonic()
     frame = pair.step(steer(state.clone()))
+    assert time.monotonic() - began < limit_s
     # The lost step: truncated, nothing terminated, no reward, the last observation once more.
     row = frame["next"][index]
     assert row["truncated"].item() and row["done"].item() and not row["terminated"].item()
@@ -84,6 +95,18 @@ def test_a_lost_worker_costs_only_its_episode(pair: SumoParallelEnv, number: int
     assert not after["next", "done"][index].any()
     whole = torch.cat([before[other], frame[other].unsqueeze(0), after[other]], 0)
     assert digest(whole) == digest(undisturbed(101)[other])
+
+
+def test_automatic_reset_after_a_lost_worker(pair: SumoParallelEnv) -> None:
+    """It begins the lost worker's next episode, and keeps the other's state."""
+    _, state = play_on(pair, 30, steer, pair.reset())
+    os.kill(process_of(pair, 0), signal.SIGKILL)
+    frame, after = pair.step_and_maybe_reset(steer(state))
+    assert frame["next", "truncated"].flatten().tolist() == [True, False]
+    assert after["context", "episode"].flatten().tolist() == [2, 1]
+    assert after["metrics", "episode", "steps"].flatten().tolist() == [0.0, 31.0]
+    assert same(after[1], frame["next"][1].exclude("reward", ("agents", "reward")))
+    assert not after["done"].any()
 
 
 def test_transforms_see_the_last_observation_of_a_lost_worker_once() -> None:
@@ -177,8 +200,34 @@ def test_memory_of_a_worker_does_not_grow() -> None:
 # -- the end -----------------------------------------------------------------------------------------------------------
 
 
+def shared_segments(pids: set[int]) -> set[Path]:
+    """The named shared memory that processes map."""
+    lines = [line for pid in pids for line in Path(f"/proc/{pid}/maps").read_text().splitlines()]
+    return {Path(line.split()[-1]) for line in lines if line.split()[-1].startswith("/dev/shm/")}
+
+
 def open_descriptors() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
+
+
+def write_long_routes(traffic: Traffic, road: RoadNet, path: Path) -> None:
+    """Write 2 MiB of nothing, more than SUMO reads at once, before the vehicles that depart after 200 s."""
+    write_routes(traffic, road, path)
+    lines = path.read_text().splitlines(keepends=True)
+    departs = [float(found[1]) if (found := re.search(r'depart="([\d.]+)"', line)) else -1.0 for line in lines]
+    late = next(k for k, depart in enumerate(departs) if depart > 200.0)
+    path.write_text("".join([*lines[:late], " " * 2**21, "\n", *lines[late:]]))
+
+
+def test_episodes_keep_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(simulator, "write_routes", write_long_routes)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    config = short(horizon_s=420.0, step_s=1.0)
+    with contextlib.closing(EcoDrivingEnv(crossing(), config=config)) as env:
+        state = env.reset()
+        assert list(tmp_path.iterdir()) == []
+        # SUMO reads 200 s of traffic at a time, the rest here from a file that has no name any more.
+        assert play(env, 400, defer, state)[-1]["vehicles", "present"].any()
 
 
 def test_close_leaves_nothing() -> None:
@@ -186,6 +235,7 @@ def test_close_leaves_nothing() -> None:
     env = SumoParallelEnv(2, crossing(), config=short())
     env.reset()
     pids = {process_of(env, 0), process_of(env, 1)}
+    assert not shared_segments(pids)
     env.close()
     env.close()
     with pytest.raises(IzooError, match="is closed; make another one"):
@@ -209,13 +259,13 @@ print(*(worker.process.pid for worker in env.backend._workers), flush=True)
 ENDINGS = {
     "killed": ("play(env, 10**6)", signal.SIGKILL),
     "Ctrl-C": ("play(env, 10**6)", signal.SIGINT),
+    "terminated": ("play(env, 10**6)", signal.SIGTERM),
     "an exception": ("raise RuntimeError('on purpose')", None),
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    "ending", ["killed", *(pytest.param(name, marks=pytest.mark.slow) for name in ("Ctrl-C", "an exception"))]
+    "ending", [pytest.param(name, marks=() if name == "killed" else pytest.mark.slow) for name in ENDINGS]
 )
 def test_workers_end_with_their_parent(ending: str, tmp_path: Path) -> None:
     """And nothing is left in the file system."""
@@ -227,6 +277,7 @@ def test_workers_end_with_their_parent(ending: str, tmp_path: Path) -> None:
         assert parent.stdout is not None
         pids = {int(word) for word in parent.stdout.readline().split()}
         assert len(pids) == 2
+        segments = shared_segments({*pids, parent.pid} if number is not None else set())
         if number is not None:
             time.sleep(0.3)
             assert all(alive(pid) for pid in pids)
@@ -236,4 +287,4 @@ def test_workers_end_with_their_parent(ending: str, tmp_path: Path) -> None:
         parent.kill()
         parent.communicate()
     assert not wait_until_gone(pids), "workers have outlived their parent"
-    assert list(tmp_path.iterdir()) == []
+    assert not any(path.exists() for path in segments) and list(tmp_path.iterdir()) == []

@@ -75,6 +75,12 @@ def test_below_four_training_seeds_the_interval_says_what_it_leaves_out() -> Non
     assert found.high - found.value == pytest.approx(half)
 
 
+def test_a_difference_is_not_over_seeds_where_one_side_has_few() -> None:
+    found = difference(X[:2], Y[:4])
+    assert (found.over, found.seeds) == (INTERSECTIONS, 4) and f"needs {MIN_TRAIN_SEEDS}" in found.missing
+    assert difference(X[:1], Y[:4]).over == INTERSECTIONS_AND_SEEDS, "one side was not trained"
+
+
 def test_where_there_is_no_interval_it_says_why() -> None:
     few = estimate(X[:, : MIN_INTERSECTIONS - 1])
     assert math.isnan(few.low) and math.isnan(few.p) and few.missing == "no interval: 5 intersections, and one needs 6"

@@ -20,6 +20,7 @@ from izoo.report.recording import Recorder, geometry, second_differences
 from izoo.report.replay import Player, scenes
 from izoo.report.report_data import collect
 from izoo.results.rollout import evaluate_policy
+from izoo.training import run_folder
 from tests.conftest import SHORT
 
 
@@ -125,3 +126,20 @@ def test_what_cannot_be_played_again_is_said(evaluation: Path, tmp_path: Path, c
     (folder / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(IzooError, match=message):
         played(folder)
+
+
+def test_a_run_whose_algorithm_is_code_is_not_imported(
+    evaluation: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "evil.py").write_text("open('ran', 'w').close()\n")
+    folder = Path(shutil.copytree(evaluation, tmp_path / "results", ignore=shutil.ignore_patterns("replays")))
+    (folder / "run" / "checkpoints").mkdir(parents=True)
+    (folder / "run" / "checkpoints" / "step-000000000001.pt").touch()
+    (folder / "run" / run_folder.CONFIG_FILE).write_text("algo: {name: 'evil:Thing'}\n")
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["policies"]["glide"]["0"]["source"] = "run/checkpoints/step-000000000001.pt"
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(IzooError, match="of the code evil:Thing; imports=true allows to import it"):
+        played(folder)
+    assert not (tmp_path / "ran").exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import sys
 from pathlib import Path
 
 import pandas as pd
@@ -116,6 +117,22 @@ def test_options_of_the_page_are_refused(
     error = capsys.readouterr().err
     assert f"the folder of a sweep, to which {name} cannot apply" in error and len(error.splitlines()) == 1
     assert not (folder / sweeps.SWEEP_FILE).exists() and not (folder / "page.html").exists()
+
+
+def test_a_run_does_not_make_the_report_import_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    (tmp_path / "evil.py").write_text("open('ran', 'w').close()\n")
+    make_run(tmp_path / "sweep" / "0", TrainConfig(), 1000, 0.0, (), None)
+    path = tmp_path / "sweep" / "0" / run_folder.CONFIG_FILE
+    path.write_text(path.read_text().replace("name: ppo", "name: evil:Thing"))
+    assert report.main(["sweep"]) == 0
+    assert "imports=true allows to import it" in " ".join(capsys.readouterr().out.split())
+    assert not (tmp_path / "ran").exists()
+    assert report.main(["sweep", "imports=true"]) == 0
+    assert (tmp_path / "ran").exists()
 
 
 def test_damaged_runs_are_named_and_do_not_hide_the_others(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -67,6 +67,17 @@ def test_exploration_goes_on_where_it_was(monkeypatch: pytest.MonkeyPatch) -> No
         assert torch.equal(collect(first, monkeypatch)[base.ACTION], collect(second, monkeypatch)[base.ACTION])
 
 
+@pytest.mark.parametrize("name", ["ddpg", "residual"])
+def test_an_optimiser_of_other_networks_is_refused(name: str) -> None:
+    """A residual has the algorithm that learns inside."""
+    learner = make(name, CPU)
+    state = learner.state_dict()
+    other = {"step": torch.tensor(1.0), "exp_avg": torch.zeros(3, 3), "exp_avg_sq": torch.zeros(1)}
+    state["algorithm"]["optimiser"]["state"][0] = other
+    with pytest.raises(ValueError, match="the optimiser's exp_avg is"):
+        learner.load_state_dict(state)
+
+
 def weights(policy: torch.nn.Module) -> dict[str, torch.Tensor]:
     return {key: value.clone() for key, value in policy.state_dict().items() if torch.is_tensor(value)}
 
