@@ -9,13 +9,6 @@ from __future__ import annotations
 
 from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
-    ACTIVE_FIRST,
-    ACTIVE_LAST,
-    ACTIVE_NEXT,
-    ACTIVE_PREVIOUS,
-    EDGE_LANES,
-    LANE_COUNT,
-    LANE_EDGE,
     NOT_ACTIVE,
 )
 
@@ -24,43 +17,43 @@ from izoo.envs.twin.runtime.layout import (
 def activate(net, state, lane):  # type: ignore[no-untyped-def]
     """Add ``lane`` to the active lanes, unless it is there."""
     active, clock = state.active, state.clock
-    if active[lane, ACTIVE_NEXT] != NOT_ACTIVE:
+    if active[lane].next != NOT_ACTIVE:
         return
-    if net.edge_ints[net.lane_ints[lane, LANE_EDGE], EDGE_LANES] > 1:
-        after = clock[ACTIVE_FIRST]
-        active[lane, ACTIVE_PREVIOUS], active[lane, ACTIVE_NEXT] = -1, after
-        clock[ACTIVE_FIRST] = lane
+    if net.edges[net.lanes[lane].edge].lanes > 1:
+        after = clock.first_active
+        active[lane].previous, active[lane].next = -1, after
+        clock.first_active = lane
         if after >= 0:
-            active[after, ACTIVE_PREVIOUS] = lane
+            active[after].previous = lane
         else:
-            clock[ACTIVE_LAST] = lane
+            clock.last_active = lane
         return
-    before = clock[ACTIVE_LAST]
-    active[lane, ACTIVE_PREVIOUS], active[lane, ACTIVE_NEXT] = before, -1
-    clock[ACTIVE_LAST] = lane
+    before = clock.last_active
+    active[lane].previous, active[lane].next = before, -1
+    clock.last_active = lane
     if before >= 0:
-        active[before, ACTIVE_NEXT] = lane
+        active[before].next = lane
     else:
-        clock[ACTIVE_FIRST] = lane
+        clock.first_active = lane
 
 
 @compiled
 def deactivate_empty(state):  # type: ignore[no-untyped-def]
     """Remove the lanes without vehicles."""
     active, clock = state.active, state.clock
-    lane = clock[ACTIVE_FIRST]
+    lane = clock.first_active
     while lane >= 0:
-        before, after = active[lane, ACTIVE_PREVIOUS], active[lane, ACTIVE_NEXT]
-        if state.lanes[lane, LANE_COUNT] == 0:
+        before, after = active[lane].previous, active[lane].next
+        if state.lanes[lane].count == 0:
             if before >= 0:
-                active[before, ACTIVE_NEXT] = after
+                active[before].next = after
             else:
-                clock[ACTIVE_FIRST] = after
+                clock.first_active = after
             if after >= 0:
-                active[after, ACTIVE_PREVIOUS] = before
+                active[after].previous = before
             else:
-                clock[ACTIVE_LAST] = before
-            active[lane, ACTIVE_NEXT] = NOT_ACTIVE
+                clock.last_active = before
+            active[lane].next = NOT_ACTIVE
         lane = after
 
 
@@ -68,5 +61,5 @@ def deactivate_empty(state):  # type: ignore[no-untyped-def]
 def activate_occupied(net, state):  # type: ignore[no-untyped-def]
     """Add the lanes that vehicles have come to since, in the order of their rows."""
     for lane in range(state.lanes.shape[0]):
-        if state.lanes[lane, LANE_COUNT] > 0:
+        if state.lanes[lane].count > 0:
             activate(net, state, lane)

@@ -12,16 +12,6 @@ import numpy as np
 
 from izoo.envs.twin.driving.tolerances import EPS
 from izoo.envs.twin.runtime.compiled import compiled, fused
-from izoo.envs.twin.runtime.layout import (
-    DECEL,
-    EMERGENCY_DECEL,
-    LANE_LIMIT,
-    MAX_ACCEL,
-    MIN_GAP,
-    TAU,
-    TOP_SPEED,
-    TWO_ROOT_AB,
-)
 
 SUB_STEP_S = 0.25
 FREE_GAP_M = 1e6
@@ -50,10 +40,10 @@ def idm_speed(driver, gap, speed, leader_speed, wish_mps, min_gap, step_s):  # t
     gap = gap + min_gap
     part_s = step_s / count
     for _ in range(count):
-        ahead = max(0.0, speed * driver[TAU] + speed * (speed - leader_speed) / driver[TWO_ROOT_AB]) + min_gap
+        ahead = max(0.0, speed * driver.tau + speed * (speed - leader_speed) / driver.two_root_ab) + min_gap
         gap = max(EPS, gap)
         hurry = fourth_power(speed / max(EPS, wish_mps))
-        accel = driver[MAX_ACCEL] * (1.0 - hurry - (ahead * ahead) / (gap * gap))
+        accel = driver.max_accel * (1.0 - hurry - (ahead * ahead) / (gap * gap))
         speed = max(0.0, speed + accel * part_s)
         gap -= max(0.0, (speed - leader_speed) * part_s)
     return speed
@@ -62,13 +52,13 @@ def idm_speed(driver, gap, speed, leader_speed, wish_mps, min_gap, step_s):  # t
 @compiled
 def secure_gap(driver, speed, leader_speed):  # type: ignore[no-untyped-def]
     """Return the gap (m, beyond the standstill gap) that a driver wants behind a leader."""
-    return max(0.0, speed * driver[TAU] + speed * (speed - leader_speed) / driver[TWO_ROOT_AB])
+    return max(0.0, speed * driver.tau + speed * (speed - leader_speed) / driver.two_root_ab)
 
 
 @compiled
 def follow_speed(driver, gap, speed, leader_speed, wish_mps, step_s):  # type: ignore[no-untyped-def]
     """Return the speed after one step behind a vehicle, ``gap`` (m) being the free road less the standstill gap."""
-    return idm_speed(driver, gap, speed, leader_speed, wish_mps, driver[MIN_GAP], step_s)
+    return idm_speed(driver, gap, speed, leader_speed, wish_mps, driver.min_gap, step_s)
 
 
 @compiled
@@ -127,26 +117,26 @@ def safe_stop_speed(gap, decel, tau_s, step_s):  # type: ignore[no-untyped-def]
 @compiled
 def min_speed(driver, speed, step_s):  # type: ignore[no-untyped-def]
     """Return the speed after one step of comfortable braking."""
-    decel = max(driver[DECEL], min(driver[EMERGENCY_DECEL], COMFORT_DECEL_MPS2))
+    decel = max(driver.decel, min(driver.emergency_decel, COMFORT_DECEL_MPS2))
     return max(0.0, speed - decel * step_s)
 
 
 @compiled
 def desired_speed(net, state, v, lane):  # type: ignore[no-untyped-def]
     """Return the speed (m/s) that vehicle ``v`` would have on an empty ``lane``."""
-    return min(net.lane_floats[lane, LANE_LIMIT], state.floats[v, TOP_SPEED])
+    return min(net.lanes[lane].limit, state.vehicles[v].top_speed)
 
 
 @compiled
 def max_speed(driver, speed, top, step_s):  # type: ignore[no-untyped-def]
     """Return the speed after one step of full acceleration, up to the vehicle's own maximum ``top``."""
-    return min(speed + driver[MAX_ACCEL] * step_s, top)
+    return min(speed + driver.max_accel * step_s, top)
 
 
 @compiled
 def arrival_time_s(driver, way, speed, arrival_speed):  # type: ignore[no-untyped-def]
     """Return the least time (s) for ``way`` (m) with even acceleration to ``arrival_speed``, then constant speed."""
-    accel = driver[MAX_ACCEL] if arrival_speed >= speed else -driver[DECEL]
+    accel = driver.max_accel if arrival_speed >= speed else -driver.decel
     time_s = (arrival_speed - speed) / accel
     changing = time_s * (arrival_speed + speed) * 0.5
     if way >= changing:
@@ -163,7 +153,7 @@ def accelerated_speed(way, speed, accel, top):  # type: ignore[no-untyped-def]
 @compiled
 def braked_speed(driver, way, speed, arrival_speed, step_s):  # type: ignore[no-untyped-def]
     """Return the speed (m/s) after ``way`` m if the driver brakes after ``tau``; 0 if it can stop before."""
-    if way >= brake_gap(speed, driver[DECEL], driver[TAU], step_s):
+    if way >= brake_gap(speed, driver.decel, driver.tau, step_s):
         return 0.0
-    braking_m = way - speed * driver[TAU]
-    return min(arrival_speed, math.sqrt(max(0.0, speed * speed - 2.0 * driver[DECEL] * max(0.0, braking_m))))
+    braking_m = way - speed * driver.tau
+    return min(arrival_speed, math.sqrt(max(0.0, speed * speed - 2.0 * driver.decel * max(0.0, braking_m))))

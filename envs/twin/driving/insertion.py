@@ -7,43 +7,11 @@ from izoo.envs.twin.driving.lane_queues import insert_into_lane, last_tail, last
 from izoo.envs.twin.driving.tolerances import POSITION_EPS
 from izoo.envs.twin.driving.traffic_lights import ALLWAY_STOP, EQUAL, MINOR, PRIORITY_GREEN, STOP, is_major
 from izoo.envs.twin.net.best_lanes import find_variant
-from izoo.envs.twin.net.conflicts import CONFLICT_KIND, CONFLICT_LANE, DIVERGING
+from izoo.envs.twin.net.conflicts import DIVERGING
 from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
-    ACCEL,
-    DECEL,
-    DEPART_LANE,
-    DEPART_MS,
-    DEPART_SPEED,
     DRIVING,
     DROPPED,
-    LANE_BACK,
-    LANE_EDGE,
-    LANE_FRONT,
-    LANE_INSIDE,
-    LANE_LENGTH,
-    LANE_LIMIT,
-    LANE_TAILS,
-    LENGTH,
-    LINK_ENTRY,
-    LINK_FIRST_FOE,
-    LINK_FOES,
-    LINK_NEXT,
-    LINK_PROGRAM,
-    LINK_SIGNAL,
-    MIN_GAP,
-    NEXT_DEPARTURE,
-    NOW_MS,
-    ON_ROAD,
-    PHASE_STATE,
-    POSITION,
-    PROGRAM_FIRST_PHASE,
-    PROGRAM_PHASES,
-    ROUTE,
-    SPEED,
-    STATUS,
-    TAU,
-    VARIANT,
     WAITING,
 )
 
@@ -55,13 +23,13 @@ ROOM_RIGHT_M, ROOM_LEFT_M = 20.0, 40.0
 @compiled
 def insert_vehicles(net, traffic, state, step_ms):  # type: ignore[no-untyped-def]
     """Insert the vehicles that are due where there is room, per lane in the order of departure."""
-    ints, clock = state.ints, state.clock
-    now_ms = clock[NOW_MS]
-    count = traffic.ints.shape[0]
-    while clock[NEXT_DEPARTURE] < count and traffic.ints[clock[NEXT_DEPARTURE], DEPART_MS] <= now_ms:
-        v = clock[NEXT_DEPARTURE]
-        ints[v, STATUS] = WAITING
-        lane = traffic.ints[v, DEPART_LANE]
+    vehicles, clock = state.vehicles, state.clock
+    now_ms = clock.now_ms
+    count = traffic.drivers.shape[0]
+    while clock.next_departure < count and traffic.drivers[clock.next_departure].depart_ms <= now_ms:
+        v = clock.next_departure
+        vehicles[v].status = WAITING
+        lane = traffic.drivers[v].depart_lane
         last = state.waiting_last[lane]
         if last < 0:
             state.waiting_first[lane] = v
@@ -69,7 +37,7 @@ def insert_vehicles(net, traffic, state, step_ms):  # type: ignore[no-untyped-de
             state.waiting_next[last] = v
         state.waiting_last[lane] = v
         state.waiting_next[v] = -1
-        clock[NEXT_DEPARTURE] += 1
+        clock.next_departure += 1
     for k in range(net.source_lanes.shape[0]):
         lane = net.source_lanes[k]
         v = state.waiting_first[lane]
@@ -82,7 +50,7 @@ def insert_vehicles(net, traffic, state, step_ms):  # type: ignore[no-untyped-de
                 state.waiting_last[lane] = -1
             if verdict == DROP:
                 # As in SUMO, no other vehicle enters on this lane in this step.
-                ints[v, STATUS] = DROPPED
+                vehicles[v].status = DROPPED
                 break
             insert_vehicle(net, traffic, state, v, lane)
             v = state.waiting_first[lane]
@@ -96,32 +64,32 @@ def departure_verdict(net, traffic, state, v, lane, step_ms):  # type: ignore[no
     for obstacles that stay: a lane that does not continue the route, a link that never has priority, a slow lane.
     """
     step_s = step_ms / 1000.0
-    driver = traffic.floats[v]
-    start, speed = lane, driver[DEPART_SPEED]
-    if state.ints[v, VARIANT] < 0:
+    driver = traffic.drivers[v]
+    start, speed = lane, driver.depart_speed
+    if state.vehicles[v].variant < 0:
         # Set once, although the signals may change while it waits.
-        state.ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
-    desired = net.lane_floats[lane, LANE_LIMIT]
-    position = min(net.lane_floats[lane, LANE_LENGTH], driver[LENGTH] + POSITION_EPS)
+        state.vehicles[v].variant = find_variant(net, state, traffic.drivers[v].route)
+    desired = net.lanes[lane].limit
+    position = min(net.lanes[lane].length, driver.length + POSITION_EPS)
     seen = -position
-    leader = state.lanes[lane, LANE_BACK]
+    leader = state.lanes[lane].back
     if leader < 0:
         leader = last_tail(net, traffic, state, lane, v)
-    reach = brake_gap(speed, driver[DECEL], driver[TAU], step_s) + driver[MIN_GAP]
+    reach = brake_gap(speed, driver.decel, driver.tau, step_s) + driver.min_gap
     verdict = ENTER
     while True:
         if leader >= 0:
-            gap = seen + rear_position(net, traffic, state, leader, lane) - driver[MIN_GAP]
-            if gap < 0.0 or gap < secure_gap(driver, speed, state.floats[leader, SPEED]):
+            gap = seen + rear_position(net, traffic, state, leader, lane) - driver.min_gap
+            if gap < 0.0 or gap < secure_gap(driver, speed, state.vehicles[leader].speed):
                 verdict = WAIT
                 break
-        seen += net.lane_floats[lane, LANE_LENGTH]
+        seen += net.lanes[lane].length
         if seen >= reach:
             break
-        link = net.route_link[traffic.ints[v, ROUTE], lane]
-        stops = stop_speed(driver, seen, speed, desired, driver[DECEL], step_s) >= speed
+        link = net.route_link[traffic.drivers[v].route, lane]
+        stops = stop_speed(driver, seen, speed, desired, driver.decel, step_s) >= speed
         if link < 0:
-            if net.lane_ints[lane, LANE_EDGE] != net.route_exit_edge[traffic.ints[v, ROUTE]] and not stops:
+            if net.lanes[lane].edge != net.routes[traffic.drivers[v].route].exit_edge and not stops:
                 verdict = DROP
             break
         letter = state.link_letter[link]
@@ -129,12 +97,12 @@ def departure_verdict(net, traffic, state, v, lane, step_ms):  # type: ignore[no
             if not stops:
                 verdict = DROP if _never_has_priority(net, link, letter) else WAIT
             break
-        lane = net.link_ints[link, LINK_NEXT]
-        if free_speed(driver, seen, speed, net.lane_floats[lane, LANE_LIMIT], desired, step_s) < speed:
+        lane = net.links[link].next_lane
+        if free_speed(driver, seen, speed, net.lanes[lane].limit, desired, step_s) < speed:
             verdict = DROP
             break
-        onward = net.route_link[traffic.ints[v, ROUTE], lane]
-        if net.lane_ints[lane, LANE_INSIDE] and _is_crossed(net, state, onward):
+        onward = net.route_link[traffic.drivers[v].route, lane]
+        if net.lanes[lane].inside and _is_crossed(net, state, onward):
             verdict = WAIT
             break
         leader = last_vehicle(net, traffic, state, lane, v)
@@ -149,23 +117,23 @@ def _is_crossed(net, state, link):  # type: ignore[no-untyped-def]
 
     Ways of mutually exclusive links count as well, even if they lie side by side.
     """
-    first = net.conflict_first[link]
-    for row in range(first, first + net.conflict_count[link]):
-        kind, lane = net.conflict_ints[row, CONFLICT_KIND], net.conflict_ints[row, CONFLICT_LANE]
+    first = net.links[link].first_conflict
+    for row in range(first, first + net.links[link].conflicts):
+        kind, lane = net.conflicts[row].kind, net.conflicts[row].lane
         if kind != DIVERGING and _is_busy(state, lane):
             return True
-    entry = net.link_ints[link, LINK_ENTRY]
-    first = net.link_ints[entry, LINK_FIRST_FOE]
-    for k in range(first, first + net.link_ints[entry, LINK_FOES]):
-        lane = net.link_ints[net.foes[k], LINK_NEXT]
-        if net.lane_ints[lane, LANE_INSIDE] and _is_busy(state, lane):
+    entry = net.links[link].entry
+    first = net.links[entry].first_foe
+    for k in range(first, first + net.links[entry].foes):
+        lane = net.links[net.foes[k]].next_lane
+        if net.lanes[lane].inside and _is_busy(state, lane):
             return True
     return False
 
 
 @compiled
 def _is_busy(state, lane):  # type: ignore[no-untyped-def]
-    return state.lanes[lane, LANE_FRONT] >= 0 or state.lanes[lane, LANE_TAILS] > 0
+    return state.lanes[lane].front >= 0 or state.lanes[lane].tails > 0
 
 
 @compiled
@@ -175,17 +143,17 @@ def _too_fast_for_lane_changes(net, traffic, state, v, lane, position, step_s): 
     SUMO checks this at the position after one step. If the reserved room has begun by then, it does not check, and the
     vehicle enters.
     """
-    variant = state.ints[v, VARIANT]
-    offset = net.best_offset[variant, lane]
+    variant = state.vehicles[v].variant
+    offset = net.best[variant, lane].offset
     if -2 < offset < 2:
         return False
-    driver = traffic.floats[v]
-    speed = driver[DEPART_SPEED]
+    driver = traffic.drivers[v]
+    speed = driver.depart_speed
     room = ROOM_RIGHT_M if offset < 0 else ROOM_LEFT_M
-    left = net.best_length[variant, lane] - position - room - speed * step_s
+    left = net.best[variant, lane].length - position - room - speed * step_s
     if left < 0.0:
         return False
-    return stop_speed(driver, left, speed, net.lane_floats[lane, LANE_LIMIT], driver[DECEL], step_s) < speed
+    return stop_speed(driver, left, speed, net.lanes[lane].limit, driver.decel, step_s) < speed
 
 
 @compiled
@@ -193,12 +161,12 @@ def _never_has_priority(net, link, letter):  # type: ignore[no-untyped-def]
     """Return whether ``link``, which shows ``letter`` now, never has priority."""
     if letter in (MINOR, EQUAL, STOP, ALLWAY_STOP):
         return True
-    program = net.link_ints[link, LINK_PROGRAM]
+    program = net.links[link].program
     if program < 0:
         return False
-    first = net.program_ints[program, PROGRAM_FIRST_PHASE]
-    for phase in range(first, first + net.program_ints[program, PROGRAM_PHASES]):
-        if net.phase_letters[net.phase_ints[phase, PHASE_STATE] + net.link_ints[link, LINK_SIGNAL]] == PRIORITY_GREEN:
+    first = net.programs[program].first_phase
+    for phase in range(first, first + net.programs[program].phases):
+        if net.phase_letters[net.phases[phase].state + net.links[link].signal] == PRIORITY_GREEN:
             return False
     return True
 
@@ -206,9 +174,9 @@ def _never_has_priority(net, link, letter):  # type: ignore[no-untyped-def]
 @compiled
 def insert_vehicle(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
     """Put vehicle ``v`` on the road."""
-    floats, driver = state.floats, traffic.floats[v]
-    floats[v, POSITION] = min(net.lane_floats[lane, LANE_LENGTH], driver[LENGTH] + POSITION_EPS)
-    floats[v, SPEED], floats[v, ACCEL] = driver[DEPART_SPEED], 0.0
-    state.ints[v, STATUS] = DRIVING
+    vehicles, driver = state.vehicles, traffic.drivers[v]
+    vehicles[v].position = min(net.lanes[lane].length, driver.length + POSITION_EPS)
+    vehicles[v].speed, vehicles[v].accel = driver.depart_speed, 0.0
+    state.vehicles[v].status = DRIVING
     insert_into_lane(state, v, lane)
-    state.clock[ON_ROAD] += 1
+    state.clock.on_road += 1

@@ -30,45 +30,7 @@ from izoo.envs.twin.junction.foes import Plan, limit_by_foes
 from izoo.envs.twin.junction.right_of_way import slows_before
 from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
-    AHEAD,
-    COMMAND,
-    DECEL,
-    EMERGENCY_DECEL,
-    FIRST_ITEM,
-    ITEM_ARRIVAL_MS,
-    ITEM_ARRIVAL_SPEED,
-    ITEM_BRAKED_SPEED,
-    ITEM_DISTANCE,
-    ITEM_LEAVE_MS,
-    ITEM_LEAVE_SPEED,
-    ITEM_LINK,
-    ITEM_NEXT,
-    ITEM_PASS,
-    ITEM_PASSAGE,
-    ITEM_REQUEST,
-    ITEM_TOTAL,
-    ITEM_VEHICLE,
-    ITEM_WAIT,
-    ITEMS,
-    LANE,
-    LANE_EDGE,
-    LANE_INSIDE,
-    LANE_LENGTH,
-    LANE_LIMIT,
-    LANE_TAILS,
-    LENGTH,
-    LINK_NEXT,
-    LINK_VIA,
-    MAX_ACCEL,
     MAX_ITEMS_PER_VEHICLE,
-    MIN_GAP,
-    NOW_MS,
-    POSITION,
-    ROUTE,
-    SPEED,
-    TAU,
-    TOP_SPEED,
-    VARIANT,
 )
 
 STOP_LINE_GAP_M = 1.0
@@ -83,118 +45,118 @@ SPEED_EPS = 1e-4
 def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     """Make the items of vehicle ``v``."""
     step_s = step_ms / 1000.0
-    floats, ints = state.floats, state.ints
-    driver = traffic.floats[v]
-    route = traffic.ints[v, ROUTE]
-    variant = ints[v, VARIANT]
-    speed, lane = floats[v, SPEED], ints[v, LANE]
-    top = floats[v, TOP_SPEED]
-    desired = min(net.lane_floats[lane, LANE_LIMIT], top)
+    vehicles = state.vehicles
+    driver = traffic.drivers[v]
+    route = traffic.drivers[v].route
+    variant = vehicles[v].variant
+    speed, lane = vehicles[v].speed, vehicles[v].lane
+    top = vehicles[v].top_speed
+    desired = min(net.lanes[lane].limit, top)
     fastest = max_speed(driver, speed, top, step_s)
     slowest = min_speed(driver, speed, step_s)
-    reach = fastest * step_s + brake_gap(fastest, driver[DECEL], driver[TAU], step_s)
-    seen = net.lane_floats[lane, LANE_LENGTH] - floats[v, POSITION]
-    inside = net.lane_ints[lane, LANE_INSIDE] == 1
+    reach = fastest * step_s + brake_gap(fastest, driver.decel, driver.tau, step_s)
+    seen = net.lanes[lane].length - vehicles[v].position
+    inside = net.lanes[lane].inside == 1
     seen_roads, seen_inside = 0.0, seen if inside else 0.0
     best = min(fastest, desired)
-    command = floats[v, COMMAND]
+    command = vehicles[v].command
     if not math.isnan(command):
         best = max(min(command, best), slowest)
-    passing = min(desired, accelerated_speed(seen, best, driver[MAX_ACCEL], top))
+    passing = min(desired, accelerated_speed(seen, best, driver.max_accel, top))
     beyond = slowed_for_minor = False
     lane_limit = desired
     # On a free road the speed depends on the limit alone, which most lanes share.
     free_limit, freely = -1.0, 0.0
-    first = state.clock[ITEM_TOTAL]
+    first = state.clock.items
     count = 0
-    leader = ints[v, AHEAD]
-    if leader < 0 and state.lanes[lane, LANE_TAILS] > 0:
+    leader = vehicles[v].ahead
+    if leader < 0 and state.lanes[lane].tails > 0:
         leader = last_tail(net, traffic, state, lane, v)
     while True:
         if leader >= 0:
             back = rear_position(net, traffic, state, leader, lane)
-            gap = back - floats[v, POSITION] if count == 0 else back + seen - net.lane_floats[lane, LANE_LENGTH]
-            safe = follow_speed(driver, gap - driver[MIN_GAP], speed, floats[leader, SPEED], desired, step_s)
-            if count == 0 and inside and ints[leader, LANE] != lane and gap < driver[MIN_GAP]:
+            gap = back - vehicles[v].position if count == 0 else back + seen - net.lanes[lane].length
+            safe = follow_speed(driver, gap - driver.min_gap, speed, vehicles[leader].speed, desired, step_s)
+            if count == 0 and inside and vehicles[leader].lane != lane and gap < driver.min_gap:
                 # Behind a vehicle that has left the junction except for its tail.
                 safe = 0.0
             best = min(best, safe)
             passing = min(passing, best)
             if count > 0:
                 # The leave speed of the last link is that of following from there at the present gap.
-                leave = state.item_floats[first + count - 1, ITEM_LEAVE_SPEED]
-                later = follow_speed(driver, gap - driver[MIN_GAP], leave, floats[leader, SPEED], desired, step_s)
-                state.item_floats[first + count - 1, ITEM_LEAVE_SPEED] = min(leave, later)
+                leave = state.items[first + count - 1].leave_speed
+                later = follow_speed(driver, gap - driver.min_gap, leave, vehicles[leader].speed, desired, step_s)
+                state.items[first + count - 1].leave_speed = min(leave, later)
         item = first + count
-        values, numbers = state.item_floats[item], state.item_ints[item]
+        planned = state.items[item]
         if count > 0:
-            state.item_floats[item - 1, ITEM_WAIT] = min(state.item_floats[item - 1, ITEM_WAIT], best)
-        numbers[ITEM_VEHICLE], numbers[ITEM_LINK], numbers[ITEM_NEXT], numbers[ITEM_REQUEST] = v, -1, -1, 0
-        values[ITEM_DISTANCE] = seen
+            state.items[item - 1].wait_speed = min(state.items[item - 1].wait_speed, best)
+        planned.vehicle, planned.link, planned.next, planned.request = v, -1, -1, 0
+        planned.distance = seen
         count += 1
-        link = net.best_link[variant, lane]
+        link = net.best[variant, lane].link
         if link < 0:
-            if net.lane_ints[lane, LANE_EDGE] == net.route_exit_edge[route]:
+            if net.lanes[lane].edge == net.routes[route].exit_edge:
                 safe = max(EPS, free_speed(driver, seen, speed, lane_limit, desired, step_s))
             else:
-                safe = stop_speed(driver, seen, speed, desired, driver[DECEL], step_s)
+                safe = stop_speed(driver, seen, speed, desired, driver.decel, step_s)
             best = min(best, safe)
             if count > 1:
-                state.item_floats[item - 1, ITEM_LEAVE_SPEED] = min(state.item_floats[item - 1, ITEM_LEAVE_SPEED], safe)
-            values[ITEM_PASS] = values[ITEM_WAIT] = best
+                state.items[item - 1].leave_speed = min(state.items[item - 1].leave_speed, safe)
+            planned.pass_speed = planned.wait_speed = best
             break
         letter = state.link_letter[link]
         stopped = is_red_or_yellow(letter)
-        decel = driver[DECEL]
+        decel = driver.decel
         if stopped:
-            decel = max(decel, min(YELLOW_DECEL_MPS2, driver[EMERGENCY_DECEL]))
+            decel = max(decel, min(YELLOW_DECEL_MPS2, driver.emergency_decel))
         braking = brake_gap(speed, decel, 0.0, step_s)
         offset = STOP_LINE_GAP_M if stopped or is_major(letter) else 0.0
         if seen >= braking:
             offset = min(offset, seen - braking)
         offset = max(POSITION_EPS, offset)
         waiting = min(best, stop_speed(driver, max(0.0, seen - offset), speed, desired, decel, step_s))
-        numbers[ITEM_LINK] = link
-        values[ITEM_WAIT] = waiting
-        values[ITEM_PASS] = passing
+        planned.link = link
+        planned.wait_speed = waiting
+        planned.pass_speed = passing
         leaving = inside and count == 1
         request = (best > SPEED_EPS * step_s and not (slowed_for_minor and not inside)) or leaving
         if stopped and seen >= braking:
-            values[ITEM_ARRIVAL_SPEED] = values[ITEM_LEAVE_SPEED] = values[ITEM_PASSAGE] = 0.0
-            numbers[ITEM_ARRIVAL_MS] = state.clock[NOW_MS] + int(1000.0 * seen / max(waiting, EPS))
+            planned.arrival_speed = planned.leave_speed = planned.passage = 0.0
+            planned.arrival_ms = state.clock.now_ms + int(1000.0 * seen / max(waiting, EPS))
             break
         before = best
-        floor = state.item_floats[item - 1, ITEM_WAIT] if count > 1 else 0.0
+        floor = state.items[item - 1].wait_speed if count > 1 else 0.0
         restricted = limit_by_foes(net, traffic, state, v, link, seen, Plan(best, passing, request), floor, step_s)
         best, passing, request = restricted
         if best < before and count > 1:
-            state.item_floats[item - 1, ITEM_LEAVE_SPEED] = min(state.item_floats[item - 1, ITEM_LEAVE_SPEED], best)
-        values[ITEM_WAIT] = min(values[ITEM_WAIT], best)
+            state.items[item - 1].leave_speed = min(state.items[item - 1].leave_speed, best)
+        planned.wait_speed = min(planned.wait_speed, best)
         arrival_speed = passing
         if slows_before(net, state, link) and braking < seen and seen > VISIBILITY_M:
-            seeing = safe_stop_speed(VISIBILITY_M, driver[DECEL], 0.0, step_s)
-            arrival_speed = min(passing, accelerated_speed(VISIBILITY_M, seeing, driver[MAX_ACCEL], top))
+            seeing = safe_stop_speed(VISIBILITY_M, driver.decel, 0.0, step_s)
+            arrival_speed = min(passing, accelerated_speed(VISIBILITY_M, seeing, driver.max_accel, top))
             slowed_for_minor = True
-        enter_ms = state.clock[NOW_MS] - step_ms + int(1000.0 * arrival_time_s(driver, seen, best, arrival_speed) + 0.5)
-        next_lane = net.link_ints[link, LINK_NEXT]
-        next_length = net.lane_floats[next_lane, LANE_LENGTH]
-        lane_limit = min(net.lane_floats[next_lane, LANE_LIMIT], top)
-        inside_m = next_length if net.lane_ints[next_lane, LANE_INSIDE] == 1 else 0.0
-        leave_speed = min(lane_limit, accelerated_speed(inside_m, arrival_speed, driver[MAX_ACCEL], top))
-        values[ITEM_PASS] = best
-        values[ITEM_ARRIVAL_SPEED], values[ITEM_LEAVE_SPEED] = arrival_speed, leave_speed
-        values[ITEM_BRAKED_SPEED] = braked_speed(driver, seen, best, arrival_speed, step_s)
-        values[ITEM_PASSAGE] = inside_m + driver[LENGTH]
-        numbers[ITEM_ARRIVAL_MS], numbers[ITEM_REQUEST] = enter_ms, request
+        enter_ms = state.clock.now_ms - step_ms + int(1000.0 * arrival_time_s(driver, seen, best, arrival_speed) + 0.5)
+        next_lane = net.links[link].next_lane
+        next_length = net.lanes[next_lane].length
+        lane_limit = min(net.lanes[next_lane].limit, top)
+        inside_m = next_length if net.lanes[next_lane].inside == 1 else 0.0
+        leave_speed = min(lane_limit, accelerated_speed(inside_m, arrival_speed, driver.max_accel, top))
+        planned.pass_speed = best
+        planned.arrival_speed, planned.leave_speed = arrival_speed, leave_speed
+        planned.braked_speed = braked_speed(driver, seen, best, arrival_speed, step_s)
+        planned.passage = inside_m + driver.length
+        planned.arrival_ms, planned.request = enter_ms, request
         if count == MAX_ITEMS_PER_VEHICLE:
             break
         if not request or best <= 0.0 or seen > reach:
-            length = driver[LENGTH]
+            length = driver.length
             if beyond and seen_roads > max(seen_inside + length, LOOK_BEYOND_LENGTHS * length):
                 break
-        beyond = beyond or net.link_ints[link, LINK_VIA] < 0
+        beyond = beyond or net.links[link].via_lane < 0
         lane = next_lane
-        inside = net.lane_ints[lane, LANE_INSIDE] == 1
+        inside = net.lanes[lane].inside == 1
         if speed > lane_limit:
             free = free_speed(driver, seen, speed, lane_limit, desired, step_s)
         else:
@@ -207,10 +169,10 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         else:
             seen_roads += next_length
         seen += next_length
-        passing = min(accelerated_speed(next_length, best, driver[MAX_ACCEL], top), lane_limit)
+        passing = min(accelerated_speed(next_length, best, driver.max_accel, top), lane_limit)
         leader = last_vehicle(net, traffic, state, lane, v)
-    ints[v, FIRST_ITEM], ints[v, ITEMS] = first, count
-    state.clock[ITEM_TOTAL] = first + count
+    vehicles[v].first_item, vehicles[v].items = first, count
+    state.clock.items = first + count
 
 
 @compiled
@@ -218,11 +180,11 @@ def register_approaches(state):  # type: ignore[no-untyped-def]
     """Register every item with its link."""
     for link in range(state.link_first.shape[0]):
         state.link_first[link] = -1
-    for item in range(state.clock[ITEM_TOTAL]):
-        link = state.item_ints[item, ITEM_LINK]
+    for item in range(state.clock.items):
+        link = state.items[item].link
         if link >= 0:
-            values, numbers = state.item_floats[item], state.item_ints[item]
-            mean = max(0.5 * (values[ITEM_ARRIVAL_SPEED] + values[ITEM_LEAVE_SPEED]), EPS)
-            numbers[ITEM_LEAVE_MS] = numbers[ITEM_ARRIVAL_MS] + int(1000.0 * values[ITEM_PASSAGE] / mean + 0.5)
-            state.item_ints[item, ITEM_NEXT] = state.link_first[link]
+            planned = state.items[item]
+            mean = max(0.5 * (planned.arrival_speed + planned.leave_speed), EPS)
+            planned.leave_ms = planned.arrival_ms + int(1000.0 * planned.passage / mean + 0.5)
+            state.items[item].next = state.link_first[link]
             state.link_first[link] = item

@@ -16,39 +16,8 @@ from izoo.envs.twin.lane_change.downstream_occupancy import remember_downstream_
 from izoo.envs.twin.net.best_lanes import find_variant
 from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
-    ACCEL,
     ARRIVED,
-    COMMAND,
-    DECEL,
-    EMERGENCY_DECEL,
-    FIRST_ITEM,
-    FREE_SPEED,
-    HAS_TO_WAIT,
-    ITEM_DISTANCE,
-    ITEM_LINK,
-    ITEM_PASS,
-    ITEM_REQUEST,
-    ITEM_WAIT,
-    ITEMS,
-    LANE,
-    LANE_EDGE,
-    LANE_INSIDE,
-    LANE_LENGTH,
-    LINK_CONT,
-    LINK_NEXT,
-    LINK_PROGRAM,
-    MAX_ACCEL,
     MAX_TAIL_LANES,
-    ON_ROAD,
-    POSITION,
-    ROUTE,
-    SIGNALS,
-    SPEED,
-    STATUS,
-    TAIL_LANES,
-    TOP_SPEED,
-    VARIANT,
-    WAITING_MS,
 )
 
 
@@ -59,20 +28,20 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     Records whether it has to wait, and that it loses its right of way in a junction where it does not request to go on.
     """
     step_s = step_ms / 1000.0
-    driver = traffic.floats[v]
-    speed = state.floats[v, SPEED]
-    comfortable = brake_gap(speed, driver[DECEL], 0.0, step_s)
-    fastest = max_speed(driver, speed, state.floats[v, TOP_SPEED], step_s)
+    driver = traffic.drivers[v]
+    speed = state.vehicles[v].speed
+    comfortable = brake_gap(speed, driver.decel, 0.0, step_s)
+    fastest = max_speed(driver, speed, state.vehicles[v].top_speed, step_s)
     safe = fastest
     needed = needed_wait = needed_m = 0.0
     needed_can_brake = waits = False
     slowest = min_speed(driver, speed, step_s)
-    first = state.ints[v, FIRST_ITEM]
-    for item in range(first, first + state.ints[v, ITEMS]):
-        values, numbers = state.item_floats[item], state.item_ints[item]
-        link, distance = numbers[ITEM_LINK], values[ITEM_DISTANCE]
-        if link < 0 or not numbers[ITEM_REQUEST]:
-            safe = values[ITEM_WAIT]
+    first = state.vehicles[v].first_item
+    for item in range(first, first + state.vehicles[v].items):
+        planned = state.items[item]
+        link, distance = planned.link, planned.distance
+        if link < 0 or not planned.request:
+            safe = planned.wait_speed
             waits = waits or (link >= 0 and safe < speed)
             if link >= 0:
                 lose_right_of_way(net, state, v, link)
@@ -81,38 +50,38 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
         can_brake = distance > comfortable
         yellow = letter in (YELLOW, OFF_YELLOW)
         if yellow and can_brake:
-            safe, waits = values[ITEM_WAIT], True
+            safe, waits = planned.wait_speed, True
             break
         if yellow or may_pass(net, traffic, state, item, step_ms):
-            if not net.link_ints[link, LINK_CONT] and slows_before(net, state, link):
+            if not net.links[link].cont and slows_before(net, state, link):
                 if distance > VISIBILITY_M and (can_brake or not yellow):
-                    safe, waits = values[ITEM_WAIT], True
+                    safe, waits = planned.wait_speed, True
                     break
-                needed_wait, needed_m, needed_can_brake = values[ITEM_WAIT], distance, can_brake
-                needed = min((distance + POSITION_EPS) / step_s, values[ITEM_PASS], fastest)
-            safe = values[ITEM_PASS]
-            waits = waits or (safe < driver[DECEL] and safe <= values[ITEM_WAIT] and safe < fastest)
+                needed_wait, needed_m, needed_can_brake = planned.wait_speed, distance, can_brake
+                needed = min((distance + POSITION_EPS) / step_s, planned.pass_speed, fastest)
+            safe = planned.pass_speed
+            waits = waits or (safe < driver.decel and safe <= planned.wait_speed and safe < fastest)
         elif (
             not can_brake
-            and net.link_ints[link, LINK_PROGRAM] < 0
-            and distance < brake_gap(speed, driver[EMERGENCY_DECEL], 0.0, step_s)
+            and net.links[link].program < 0
+            and distance < brake_gap(speed, driver.emergency_decel, 0.0, step_s)
         ):
-            safe = values[ITEM_PASS]
+            safe = planned.pass_speed
         else:
-            safe, waits = values[ITEM_WAIT], True
+            safe, waits = planned.wait_speed, True
             break
     if safe + EPS < needed:
         # It would not clear the minor link: it stops before it, if it can.
         if safe >= speed:
-            if net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 1:
+            if net.lanes[state.vehicles[v].lane].inside == 1:
                 safe = max(safe, needed_wait)
         elif needed_can_brake:
-            desired = desired_speed(net, state, v, state.ints[v, LANE])
-            stop = stop_speed(driver, needed_m, speed, desired, driver[DECEL], step_s)
+            desired = desired_speed(net, state, v, state.vehicles[v].lane)
+            stop = stop_speed(driver, needed_m, speed, desired, driver.decel, step_s)
             safe, waits = min(safe, max(slowest, stop)), True
         # A vehicle that goes on is not slowed for lane changes.
         needed = 0.0 if waits and safe < speed else min(needed, safe)
-    state.ints[v, HAS_TO_WAIT] = waits
+    state.vehicles[v].has_to_wait = waits
     return safe, needed
 
 
@@ -120,12 +89,12 @@ def safe_speed(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
 def next_speed(net, traffic, state, v, safe, needed, step_ms):  # type: ignore[no-untyped-def]
     """Return the speed of the coming step within the vehicle's limits, and record the one without a command."""
     step_s = step_ms / 1000.0
-    floats, driver = state.floats, traffic.floats[v]
-    speed = floats[v, SPEED]
-    hardest = max(0.0, speed - driver[EMERGENCY_DECEL] * step_s)
+    vehicles, driver = state.vehicles, traffic.drivers[v]
+    speed = vehicles[v].speed
+    hardest = max(0.0, speed - driver.emergency_decel * step_s)
     slowest = min_speed(driver, speed, step_s)
-    fastest = max_speed(driver, speed, floats[v, TOP_SPEED], step_s)
-    limit = desired_speed(net, state, v, state.ints[v, LANE])
+    fastest = max_speed(driver, speed, vehicles[v].top_speed, step_s)
+    limit = desired_speed(net, state, v, state.vehicles[v].lane)
     low = min(slowest, max(safe, hardest))
     high = max(low, min(fastest, safe, max(limit, safe)))
     result = advised_speed(net, traffic, state, v, low, high, high, step_s)
@@ -133,8 +102,8 @@ def next_speed(net, traffic, state, v, safe, needed, step_ms):  # type: ignore[n
         result = max(result, needed)
     if result < SPEED_EPS * step_s:
         result = 0.0
-    floats[v, FREE_SPEED] = result
-    command = floats[v, COMMAND]
+    vehicles[v].free_speed = result
+    command = vehicles[v].command
     if not math.isnan(command):
         result = max(min(command, safe, min(fastest, limit)), slowest)
     return result
@@ -148,37 +117,37 @@ def drive(net, traffic, state, v, moved, count, step_ms):  # type: ignore[no-unt
         moved: ``[N]`` working memory; the first ``count`` have left their lane and are in no queue.
     """
     step_s = step_ms / 1000.0
-    floats, ints = state.floats, state.ints
+    vehicles = state.vehicles
     safe, needed = safe_speed(net, traffic, state, v, step_ms)
     speed = next_speed(net, traffic, state, v, safe, needed, step_ms)
-    accel = (speed - floats[v, SPEED]) / step_s
-    floats[v, ACCEL], floats[v, SPEED] = accel, speed
-    if speed <= STANDING_MPS and accel <= 0.5 * traffic.floats[v, MAX_ACCEL]:
-        ints[v, WAITING_MS] += step_ms
+    accel = (speed - vehicles[v].speed) / step_s
+    vehicles[v].accel, vehicles[v].speed = accel, speed
+    if speed <= STANDING_MPS and accel <= 0.5 * traffic.drivers[v].max_accel:
+        vehicles[v].waiting_ms += step_ms
     else:
-        ints[v, WAITING_MS] = 0
-    floats[v, POSITION] += speed * step_s
-    lane, has_left = ints[v, LANE], False
-    if floats[v, POSITION] > net.lane_floats[lane, LANE_LENGTH]:
+        vehicles[v].waiting_ms = 0
+    vehicles[v].position += speed * step_s
+    lane, has_left = vehicles[v].lane, False
+    if vehicles[v].position > net.lanes[lane].length:
         remove_from_lane(state, v)
         lane = advance(net, traffic, state, v)
         has_left = True
-    elif ints[v, TAIL_LANES] > 0:
-        kept = ints[v, TAIL_LANES]
+    elif vehicles[v].tail_lanes > 0:
+        kept = vehicles[v].tail_lanes
         clear_tail(state, v)
         set_tail(net, traffic, state, v, kept)
-    on_exit = net.lane_ints[lane, LANE_EDGE] == net.route_exit_edge[traffic.ints[v, ROUTE]]
-    if on_exit and floats[v, POSITION] > net.lane_floats[lane, LANE_LENGTH] - POSITION_EPS:
+    on_exit = net.lanes[lane].edge == net.routes[traffic.drivers[v].route].exit_edge
+    if on_exit and vehicles[v].position > net.lanes[lane].length - POSITION_EPS:
         if not has_left:
             remove_from_lane(state, v)
         clear_tail(state, v)
-        ints[v, STATUS] = ARRIVED
-        state.clock[ON_ROAD] -= 1
+        vehicles[v].status = ARRIVED
+        state.clock.on_road -= 1
     elif has_left:
         moved[count] = v
         count += 1
     note_request(net, state, v)
-    ints[v, SIGNALS] = blinkers(net, state, v)
+    vehicles[v].signals = blinkers(net, state, v)
     return count
 
 
@@ -188,25 +157,25 @@ def advance(net, traffic, state, v):  # type: ignore[no-untyped-def]
 
     At the end of a lane that does not continue the route, or at a red light, it stops at once.
     """
-    floats, ints = state.floats, state.ints
-    lane, kept = ints[v, LANE], ints[v, TAIL_LANES]
+    vehicles = state.vehicles
+    lane, kept = vehicles[v].lane, vehicles[v].tail_lanes
     clear_tail(state, v)
-    while floats[v, POSITION] > net.lane_floats[lane, LANE_LENGTH]:
-        link = net.best_link[ints[v, VARIANT], lane]
+    while vehicles[v].position > net.lanes[lane].length:
+        link = net.best[vehicles[v].variant, lane].link
         if link < 0 or state.link_letter[link] == RED:
-            if net.lane_ints[lane, LANE_EDGE] != net.route_exit_edge[traffic.ints[v, ROUTE]]:
-                floats[v, POSITION], floats[v, SPEED] = net.lane_floats[lane, LANE_LENGTH], 0.0
+            if net.lanes[lane].edge != net.routes[traffic.drivers[v].route].exit_edge:
+                vehicles[v].position, vehicles[v].speed = net.lanes[lane].length, 0.0
             break
         kept = min(kept + 1, MAX_TAIL_LANES)
         for k in range(kept - 1, 0, -1):
             state.tail_lane[v, k] = state.tail_lane[v, k - 1]
         state.tail_lane[v, 0] = lane
-        floats[v, POSITION] -= net.lane_floats[lane, LANE_LENGTH]
+        vehicles[v].position -= net.lanes[lane].length
         pass_link(net, state, v, link)
-        lane = net.link_ints[link, LINK_NEXT]
-        if not net.lane_ints[lane, LANE_INSIDE]:
-            ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
-    ints[v, LANE] = lane
+        lane = net.links[link].next_lane
+        if not net.lanes[lane].inside:
+            vehicles[v].variant = find_variant(net, state, traffic.drivers[v].route)
+    vehicles[v].lane = lane
     remember_downstream_occupancy(net, state, state.lane_room_before, v, lane)
     set_tail(net, traffic, state, v, kept)
     return lane

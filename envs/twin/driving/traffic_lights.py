@@ -4,16 +4,6 @@ from __future__ import annotations
 
 from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
-    LINK_PROGRAM,
-    LINK_SIGNAL,
-    LINK_STATE,
-    NOW_MS,
-    PHASE_BEGIN_MS,
-    PHASE_STATE,
-    PROGRAM_CYCLE_MS,
-    PROGRAM_FIRST_PHASE,
-    PROGRAM_OFFSET_MS,
-    PROGRAM_PHASES,
     TwinNet,
     TwinState,
 )
@@ -28,30 +18,30 @@ UPPER_CASE, LOWER_CASE = ord("A"), ord("a")
 @compiled
 def update_signals(net, state, step_ms):  # type: ignore[no-untyped-def]
     """Set the letters of all signals for the coming step; as in SUMO, all switches within it come at its begin."""
-    now_ms = state.clock[NOW_MS] + step_ms - 1
-    for program in range(net.program_ints.shape[0]):
+    now_ms = state.clock.now_ms + step_ms - 1
+    for program in range(net.programs.shape[0]):
         if now_ms < state.program_switch_ms[program]:
             continue
-        first = net.program_ints[program, PROGRAM_FIRST_PHASE]
-        cycle_ms = net.program_ints[program, PROGRAM_CYCLE_MS]
-        time_ms = (now_ms - net.program_ints[program, PROGRAM_OFFSET_MS]) % cycle_ms
+        first = net.programs[program].first_phase
+        cycle_ms = net.programs[program].cycle_ms
+        time_ms = (now_ms - net.programs[program].offset_ms) % cycle_ms
         phase, end_ms = first, cycle_ms
-        for k in range(first + 1, first + net.program_ints[program, PROGRAM_PHASES]):
-            if net.phase_ints[k, PHASE_BEGIN_MS] > time_ms:
-                end_ms = net.phase_ints[k, PHASE_BEGIN_MS]
+        for k in range(first + 1, first + net.programs[program].phases):
+            if net.phases[k].begin_ms > time_ms:
+                end_ms = net.phases[k].begin_ms
                 break
             phase = k
         state.program_switch_ms[program] = now_ms + end_ms - time_ms
-        letters = net.phase_ints[phase, PHASE_STATE]
+        letters = net.phases[phase].state
         for k in range(net.program_first_link[program], net.program_first_link[program + 1]):
             link = net.program_links[k]
-            state.link_letter[link] = net.phase_letters[letters + net.link_ints[link, LINK_SIGNAL]]
+            state.link_letter[link] = net.phase_letters[letters + net.links[link].signal]
 
 
 def reset_signals(net: TwinNet, state: TwinState) -> None:
     """Begin an episode: links without a signal show their own state permanently."""
-    own = net.link_ints[:, LINK_PROGRAM] < 0
-    state.link_letter[own] = net.link_ints[own, LINK_STATE]
+    own = net.links["program"] < 0
+    state.link_letter[own] = net.links["state"][own]
     state.program_switch_ms[:] = -1
 
 

@@ -10,17 +10,6 @@ from izoo.envs.twin.driving.lane_queues import rear_position
 from izoo.envs.twin.driving.tolerances import POSITION_EPS, STANDING_MPS
 from izoo.envs.twin.driving.traffic_lights import OFF_YELLOW, RED, YELLOW, is_green, is_major
 from izoo.envs.twin.net.conflicts import (
-    CONFLICT_ENTRY,
-    CONFLICT_FOE_SIZE,
-    CONFLICT_FOE_TO_END,
-    CONFLICT_FOE_WAITS,
-    CONFLICT_FOE_YIELDS,
-    CONFLICT_KIND,
-    CONFLICT_LANE,
-    CONFLICT_RADIUS,
-    CONFLICT_SIZE,
-    CONFLICT_TO_END,
-    CONFLICT_YIELDS,
     CROSSING,
     DIVERGING,
     MERGING,
@@ -28,29 +17,7 @@ from izoo.envs.twin.net.conflicts import (
 )
 from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
-    BEHIND,
-    CONFLICT_MS,
-    DECEL,
-    ENTERED_MS,
-    JUNCTION_MS,
-    LANE,
-    LANE_FRONT,
-    LANE_INSIDE,
-    LANE_LENGTH,
-    LANE_TAILS,
-    LENGTH,
-    LINK_CONT,
-    LINK_ENTRY,
-    LINK_FROM,
-    LINK_VIA,
-    MAX_ACCEL,
-    MIN_GAP,
     NEVER_MS,
-    POSITION,
-    SPEED,
-    TAU,
-    WAITING_MS,
-    WILL_PASS,
 )
 
 BLOCKED_AFTER_MS = 5000
@@ -95,17 +62,17 @@ def limit_by_foes(net, traffic, state, v, link, distance_m, plan, floor, step_s)
         plan: a :class:`Plan`.
         floor: speed (m/s) with which it can stop before the link before that one, 0 if there is none.
     """
-    first = net.conflict_first[link]
-    for row in range(first, first + net.conflict_count[link]):
-        lane = net.conflict_ints[row, CONFLICT_LANE]
-        if state.lanes[lane, LANE_FRONT] < 0 and state.lanes[lane, LANE_TAILS] == 0:
+    first = net.links[link].first_conflict
+    for row in range(first, first + net.links[link].conflicts):
+        lane = net.conflicts[row].lane
+        if state.lanes[lane].front < 0 and state.lanes[lane].tails == 0:
             continue
         ahead = Encounter(link, row, distance_m)
-        w = state.lanes[lane, LANE_FRONT]
+        w = state.lanes[lane].front
         while w >= 0:
             plan = _yield_to(net, traffic, state, v, w, ahead, plan, floor, step_s)
-            w = state.ints[w, BEHIND]
-        for k in range(state.lanes[lane, LANE_TAILS]):
+            w = state.vehicles[w].behind
+        for k in range(state.lanes[lane].tails):
             plan = _yield_to(net, traffic, state, v, state.tails[lane, k], ahead, plan, floor, step_s)
     return plan
 
@@ -124,43 +91,43 @@ def gap_to_foe(net, traffic, state, v, w, ahead, step_s):  # type: ignore[no-unt
     if w == v:
         return False, 0.0, 0.0
     row, distance_m = ahead.row, ahead.distance_m
-    kind = net.conflict_ints[row, CONFLICT_KIND]
+    kind = net.conflicts[row].kind
     crosses = kind == CROSSING
     size = foe_size = 0.0
     if crosses:
-        size, foe_size = net.conflict_floats[row, CONFLICT_SIZE], net.conflict_floats[row, CONFLICT_FOE_SIZE]
-    foe_to_end = net.conflict_floats[row, CONFLICT_FOE_TO_END]
-    to_conflict = distance_m - net.conflict_floats[row, CONFLICT_TO_END]
+        size, foe_size = net.conflicts[row].size, net.conflicts[row].foe_size
+    foe_to_end = net.conflicts[row].foe_to_end
+    to_conflict = distance_m - net.conflicts[row].to_end
     if kind != MERGING and to_conflict + size < 0.0:
         return False, 0.0, 0.0
-    outside = net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 0
+    outside = net.lanes[state.vehicles[v].lane].inside == 0
     nowhere = foe_to_end == NOWHERE
-    lane = net.conflict_ints[row, CONFLICT_LANE]
-    in_front = state.ints[w, LANE] == lane
+    lane = net.conflicts[row].lane
+    in_front = state.vehicles[w].lane == lane
     if nowhere and not outside:
         # A vehicle without right of way yields to a foe on the way to a waiting point, at any distance.
-        waits = state.ints[v, JUNCTION_MS] == NEVER_MS and to_conflict >= -POSITION_EPS
-        requests = not in_front or state.ints[w, WILL_PASS] == 1
+        waits = state.vehicles[v].junction_ms == NEVER_MS and to_conflict >= -POSITION_EPS
+        requests = not in_front or state.vehicles[w].will_pass == 1
         yields = waits and requests and _has_precedence(net, traffic, state, v, w, ahead, -math.inf, step_s)
         return yields, to_conflict, -math.inf
-    if nowhere and is_green(state.link_letter[net.conflict_ints[row, CONFLICT_ENTRY]]):
+    if nowhere and is_green(state.link_letter[net.conflicts[row].entry]):
         # From outside, it yields to such a foe only while the foe's signal is not green.
         return False, 0.0, 0.0
-    back_left = net.lane_floats[lane, LANE_LENGTH] - foe_to_end - rear_position(net, traffic, state, w, lane)
-    swept = _swept_width(traffic, v, net.conflict_floats[row, CONFLICT_RADIUS])
+    back_left = net.lanes[lane].length - foe_to_end - rear_position(net, traffic, state, w, lane)
+    swept = _swept_width(traffic, v, net.conflicts[row].radius)
     past = back_left + foe_size + swept < 0.0 and not nowhere
-    entered = back_left < traffic.floats[w, LENGTH]
+    entered = back_left < traffic.drivers[w].length
     in_the_way = (to_conflict > 0.0 and not past and entered) or (
-        kind == MERGING and to_conflict > back_left - traffic.floats[w, LENGTH] and entered
+        kind == MERGING and to_conflict > back_left - traffic.drivers[w].length and entered
     )
     if kind != MERGING and past:
         return False, 0.0, 0.0
-    if kind != DIVERGING and in_front and not in_the_way and state.ints[w, WILL_PASS] == 0:
+    if kind != DIVERGING and in_front and not in_the_way and state.vehicles[w].will_pass == 0:
         return False, 0.0, 0.0
-    gap = to_conflict - traffic.floats[v, MIN_GAP] - back_left
+    gap = to_conflict - traffic.drivers[v].min_gap - back_left
     if kind == MERGING and back_left < 0.0:
         # Once the foe's rear is in the conflict, the remaining distances to the common end count as well.
-        gap += min(0.0, net.conflict_floats[row, CONFLICT_TO_END] - foe_to_end)
+        gap += min(0.0, net.conflicts[row].to_end - foe_to_end)
     is_first = to_conflict < -POSITION_EPS and not outside and not in_the_way
     if is_first and (crosses or (kind == MERGING and not _overlap_from_begin(net, ahead))):
         # It is in the conflict already and goes on, on merging ways unless the foe is ahead.
@@ -178,9 +145,9 @@ def _conflict_at_wait(net, ahead, to_conflict):  # type: ignore[no-untyped-def]
 
     A vehicle past it by a few centimetres still comes to it.
     """
-    before, entry = net.link_ints[ahead.link, LINK_FROM], net.link_ints[ahead.link, LINK_ENTRY]
-    to_way = ahead.distance_m - net.lane_floats[before, LANE_LENGTH]
-    if net.link_ints[entry, LINK_CONT] and before != net.link_ints[entry, LINK_VIA] and to_way > -POSITION_EPS:
+    before, entry = net.links[ahead.link].from_lane, net.links[ahead.link].entry
+    to_way = ahead.distance_m - net.lanes[before].length
+    if net.links[entry].cont and before != net.links[entry].via_lane and to_way > -POSITION_EPS:
         return to_way - to_conflict
     return 0.0
 
@@ -188,33 +155,35 @@ def _conflict_at_wait(net, ahead, to_conflict):  # type: ignore[no-untyped-def]
 @compiled
 def _overlap_from_begin(net, ahead):  # type: ignore[no-untyped-def]
     """Whether the vehicle's way is in the conflict from its begin."""
-    length = net.lane_floats[net.link_ints[ahead.link, LINK_FROM], LANE_LENGTH]
-    return net.conflict_floats[ahead.row, CONFLICT_TO_END] > length - POSITION_EPS
+    length = net.lanes[net.links[ahead.link].from_lane].length
+    return net.conflicts[ahead.row].to_end > length - POSITION_EPS
 
 
 @compiled
 def is_before_wait(net, row):  # type: ignore[no-untyped-def]
     """Whether vehicles on the other way of conflict ``row`` still come to a waiting point."""
-    nowhere = net.conflict_floats[row, CONFLICT_FOE_TO_END] == NOWHERE
-    crosses = net.conflict_ints[row, CONFLICT_KIND] == CROSSING
-    return crosses and (nowhere or net.conflict_ints[row, CONFLICT_FOE_WAITS] == 1)
+    nowhere = net.conflicts[row].foe_to_end == NOWHERE
+    crosses = net.conflicts[row].kind == CROSSING
+    return crosses and (nowhere or net.conflicts[row].foe_waits == 1)
 
 
 @compiled
 def _blocks_for_long(net, state, v, w):  # type: ignore[no-untyped-def]
     """Whether vehicle ``w`` comes from the lane of ``v`` or the one before it, or has stood for long."""
-    if state.ints[w, WAITING_MS] > BLOCKED_AFTER_MS:
+    if state.vehicles[w].waiting_ms > BLOCKED_AFTER_MS:
         return True
-    before_w = _lane_before(net, state.ints[w, LANE])
-    return before_w >= 0 and (before_w == state.ints[v, LANE] or before_w == _lane_before(net, state.ints[v, LANE]))
+    before_w = _lane_before(net, state.vehicles[w].lane)
+    return before_w >= 0 and (
+        before_w == state.vehicles[v].lane or before_w == _lane_before(net, state.vehicles[v].lane)
+    )
 
 
 @compiled
 def _lane_before(net, lane):  # type: ignore[no-untyped-def]
     """Return the lane that leads to ``lane`` inside a junction, -1 for other lanes."""
-    if net.lane_ints[lane, LANE_INSIDE] == 0:
+    if net.lanes[lane].inside == 0:
         return -1
-    return net.link_ints[net.incoming_links[net.incoming_start[lane]], LINK_FROM]
+    return net.links[net.incoming_links[net.incoming_start[lane]]].from_lane
 
 
 @compiled
@@ -224,36 +193,36 @@ def _yield_to(net, traffic, state, v, w, ahead, plan, floor, step_s):  # type: i
     if not yields:
         return plan
     row, distance_m = ahead.row, ahead.distance_m
-    kind, before_wait = net.conflict_ints[row, CONFLICT_KIND], is_before_wait(net, row)
-    if net.conflict_floats[row, CONFLICT_FOE_TO_END] == NOWHERE:
+    kind, before_wait = net.conflicts[row].kind, is_before_wait(net, row)
+    if net.conflicts[row].foe_to_end == NOWHERE:
         # A vehicle in the junction that lost right of way must not accelerate; if stopped, it stays.
-        before_wait = before_wait and net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 0
+        before_wait = before_wait and net.lanes[state.vehicles[v].lane].inside == 0
     crosses = kind == CROSSING
-    driver = traffic.floats[v]
-    speed = state.floats[v, SPEED]
-    wish = desired_speed(net, state, v, state.ints[v, LANE])
-    to_way = distance_m - net.lane_floats[net.link_ints[ahead.link, LINK_FROM], LANE_LENGTH]
+    driver = traffic.drivers[v]
+    speed = state.vehicles[v].speed
+    wish = desired_speed(net, state, v, state.vehicles[v].lane)
+    to_way = distance_m - net.lanes[net.links[ahead.link].from_lane].length
     if crosses:
         nearer = _conflict_at_wait(net, ahead, to_conflict)
         gap, to_conflict = gap + nearer, to_conflict + nearer
-        gap -= net.conflict_floats[row, CONFLICT_FOE_SIZE]
+        gap -= net.conflicts[row].foe_size
     cleared = to_conflict  # the foe is out of the way once its rear has passed this place
     if kind == MERGING and to_conflict < -POSITION_EPS and gap < 0.0 and _overlap_from_begin(net, ahead):
         # It has been in the conflict since its way began, and waits where that ends, as before a crossing there.
         crosses, to_conflict = True, distance_m
     if gap >= 0.0 and not before_wait:
-        safe = follow_speed(driver, gap, speed, state.floats[w, SPEED], wish, step_s)
+        safe = follow_speed(driver, gap, speed, state.vehicles[w].speed, wish, step_s)
     else:
-        safe = stop_speed(driver, to_way - POSITION_EPS, speed, wish, driver[DECEL], step_s)
+        safe = stop_speed(driver, to_way - POSITION_EPS, speed, wish, driver.decel, step_s)
     if before_wait:
-        if state.ints[w, LANE] != net.conflict_ints[row, CONFLICT_LANE] and to_conflict >= 0.0:
+        if state.vehicles[w].lane != net.conflicts[row].lane and to_conflict >= 0.0:
             # The foe has passed the waiting point except for its tail: up to the conflict, and not behind it.
-            stop = stop_speed(driver, to_conflict - driver[MIN_GAP], speed, wish, driver[DECEL], step_s)
+            stop = stop_speed(driver, to_conflict - driver.min_gap, speed, wish, driver.decel, step_s)
             safe = max(safe, stop)
     elif crosses and to_conflict >= 0.0:
-        stop = stop_speed(driver, to_conflict - driver[MIN_GAP], speed, wish, driver[DECEL], step_s)
-        leave_s = (cleared - gap) / max(state.floats[w, SPEED], STANDING_MPS)
-        final = max(speed, 2.0 * (to_conflict - driver[MIN_GAP]) / leave_s - speed)
+        stop = stop_speed(driver, to_conflict - driver.min_gap, speed, wish, driver.decel, step_s)
+        leave_s = (cleared - gap) / max(state.vehicles[w].speed, STANDING_MPS)
+        final = max(speed, 2.0 * (to_conflict - driver.min_gap) / leave_s - speed)
         in_time = speed + (final - speed) / leave_s * step_s
         safe = max(safe, min(in_time, stop))
     # It may always drive up to the link before and stop there.
@@ -270,7 +239,7 @@ def _swept_width(traffic, v, radius):  # type: ignore[no-untyped-def]
     """
     if radius == 0.0:
         return 0.0
-    half = 0.5 * (traffic.floats[v, LENGTH] + 2.0)
+    half = 0.5 * (traffic.drivers[v].length + 2.0)
     rest = radius * radius - half * half
     return radius - math.sqrt(rest) if rest >= 0.0 else math.inf
 
@@ -290,38 +259,42 @@ def _has_precedence(net, traffic, state, v, w, ahead, gap, step_s):  # type: ign
             below 0 if ``v`` would reach the conflict first.
     """
     row = ahead.row
-    own_letter = state.link_letter[net.link_ints[ahead.link, LINK_ENTRY]]
-    other_letter = state.link_letter[net.conflict_ints[row, CONFLICT_ENTRY]]
-    own, foe = state.ints[v, JUNCTION_MS], state.ints[w, CONFLICT_MS]
-    if net.conflict_ints[row, CONFLICT_KIND] == DIVERGING:
-        own, foe = state.ints[v, ENTERED_MS], state.ints[w, ENTERED_MS]
+    own_letter = state.link_letter[net.links[ahead.link].entry]
+    other_letter = state.link_letter[net.conflicts[row].entry]
+    own, foe = state.vehicles[v].junction_ms, state.vehicles[w].conflict_ms
+    if net.conflicts[row].kind == DIVERGING:
+        own, foe = state.vehicles[v].entered_ms, state.vehicles[w].entered_ms
     elif own_letter == RED or other_letter == RED:
-        drives = other_letter != RED and state.floats[w, SPEED] > STANDING_MPS
+        drives = other_letter != RED and state.vehicles[w].speed > STANDING_MPS
         if drives and gap < 0.0 and _can_brake(traffic, state, v, w, gap, step_s):
             return False
-        if other_letter == RED or state.ints[v, CONFLICT_MS] == NEVER_MS or state.floats[v, POSITION] < POSITION_EPS:
+        if (
+            other_letter == RED
+            or state.vehicles[v].conflict_ms == NEVER_MS
+            or state.vehicles[v].position < POSITION_EPS
+        ):
             # ``w`` is left over as well, or ``v`` is still at its waiting point.
-            own = state.ints[v, CONFLICT_MS]
+            own = state.vehicles[v].conflict_ms
     else:
         yields, gives = _yields(net, state, v, w, row, own_letter, other_letter)
         if yields:
-            own = state.ints[v, CONFLICT_MS]
+            own = state.vehicles[v].conflict_ms
             if not gives:
-                foe = state.ints[w, JUNCTION_MS]
+                foe = state.vehicles[w].junction_ms
     if own != foe:
         return own > foe
-    if state.floats[v, SPEED] != state.floats[w, SPEED]:
-        return state.floats[v, SPEED] < state.floats[w, SPEED]
+    if state.vehicles[v].speed != state.vehicles[w].speed:
+        return state.vehicles[v].speed < state.vehicles[w].speed
     return id_sorts_before(v, w)
 
 
 @compiled
 def _can_brake(traffic, state, v, w, gap, step_s):  # type: ignore[no-untyped-def]
     """Whether ``w``, ``gap`` (m) ahead of vehicle ``v`` (below 0: behind it), could brake for it after this step."""
-    driver = traffic.floats[w]
-    soon = state.floats[w, SPEED] + driver[MAX_ACCEL] * step_s
-    room = -gap - driver[LENGTH] - 2.0 * traffic.floats[v, MIN_GAP]
-    return brake_gap(soon, driver[DECEL], driver[TAU], step_s) < room
+    driver = traffic.drivers[w]
+    soon = state.vehicles[w].speed + driver.max_accel * step_s
+    room = -gap - driver.length - 2.0 * traffic.drivers[v].min_gap
+    return brake_gap(soon, driver.decel, driver.tau, step_s) < room
 
 
 @compiled
@@ -330,9 +303,9 @@ def _yields(net, state, v, w, row, own_letter, other_letter):  # type: ignore[no
     if is_major(own_letter) != is_major(other_letter):
         return not is_major(own_letter), not is_major(other_letter)
     if own_letter in (YELLOW, OFF_YELLOW) and other_letter in (YELLOW, OFF_YELLOW):
-        own, other = state.floats[v, SPEED], state.floats[w, SPEED]
+        own, other = state.vehicles[v].speed, state.vehicles[w].speed
         return other >= own, own >= other
-    return net.conflict_ints[row, CONFLICT_YIELDS] == 1, net.conflict_ints[row, CONFLICT_FOE_YIELDS] == 1
+    return net.conflicts[row].yields == 1, net.conflicts[row].foe_yields == 1
 
 
 @compiled

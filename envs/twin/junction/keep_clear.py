@@ -8,32 +8,6 @@ from izoo.envs.twin.driving.car_following import brake_gap
 from izoo.envs.twin.driving.lane_queues import last_vehicle
 from izoo.envs.twin.driving.tolerances import POSITION_EPS, STANDING_MPS
 from izoo.envs.twin.runtime.compiled import compiled
-from izoo.envs.twin.runtime.layout import (
-    AHEAD,
-    DECEL,
-    FIRST_ITEM,
-    HAS_TO_WAIT,
-    ITEM_DISTANCE,
-    ITEM_LINK,
-    ITEM_PASS,
-    ITEM_REQUEST,
-    ITEM_SPACE,
-    ITEM_WAIT,
-    ITEMS,
-    LANE,
-    LANE_BACK,
-    LANE_INSIDE,
-    LANE_LENGTH,
-    LENGTH,
-    LINK_FOES,
-    LINK_FROM,
-    LINK_TO,
-    LINK_VIA,
-    MIN_GAP,
-    POSITION,
-    SPEED,
-    TAU,
-)
 
 
 @compiled
@@ -43,68 +17,68 @@ def keep_clear(net, traffic, state, v, in_front_m, step_s):  # type: ignore[no-u
     Args:
         in_front_m: room needed by the vehicles ahead of it on its lane.
     """
-    first, count = state.ints[v, FIRST_ITEM], state.ints[v, ITEMS]
+    first, count = state.vehicles[v].first_item, state.vehicles[v].items
     stands = _measure_space(net, traffic, state, v, in_front_m, step_s)
     for item in range(first + count - 1, first, -1):
         if not _leaves(net, state, item):
-            state.item_floats[item - 1, ITEM_SPACE] = min(state.item_floats[item - 1, ITEM_SPACE], 0.0)
+            state.items[item - 1].space = min(state.items[item - 1].space, 0.0)
         elif not stands:
-            state.item_floats[item - 1, ITEM_SPACE] = math.inf
+            state.items[item - 1].space = math.inf
         else:
-            state.item_floats[item - 1, ITEM_SPACE] = state.item_floats[item, ITEM_SPACE]
+            state.items[item - 1].space = state.items[item].space
     if not stands:
-        state.item_floats[first + count - 1, ITEM_SPACE] = math.inf
-    need = traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
+        state.items[first + count - 1].space = math.inf
+    need = traffic.drivers[v].length + traffic.drivers[v].min_gap
     blocked = -1
     for item in range(first, first + count):
-        link = state.item_ints[item, ITEM_LINK]
-        if link < 0 or state.item_floats[item, ITEM_SPACE] >= need:
+        link = state.items[item].link
+        if link < 0 or state.items[item].space >= need:
             continue
         # Where no link crosses, a vehicle may stop inside, if it requests to leave.
-        if net.link_ints[link, LINK_FOES] > 0 or (item + 1 < first + count and not _leaves(net, state, item + 1)):
+        if net.links[link].foes > 0 or (item + 1 < first + count and not _leaves(net, state, item + 1)):
             blocked = item
             break
-    if blocked < 0 or (blocked == first and net.lane_ints[state.ints[v, LANE], LANE_INSIDE] == 1):
+    if blocked < 0 or (blocked == first and net.lanes[state.vehicles[v].lane].inside == 1):
         return
-    braking = brake_gap(state.floats[v, SPEED], traffic.floats[v, DECEL], 0.0, step_s) + POSITION_EPS
+    braking = brake_gap(state.vehicles[v].speed, traffic.drivers[v].decel, 0.0, step_s) + POSITION_EPS
     for item in range(blocked, first + count):
-        values, link = state.item_floats[item], state.item_ints[item, ITEM_LINK]
+        planned, link = state.items[item], state.items[item].link
         if link < 0:
             break
-        values[ITEM_PASS] = values[ITEM_WAIT]
-        leaves = net.lane_ints[net.link_ints[link, LINK_FROM], LANE_INSIDE] == 1 and net.link_ints[link, LINK_VIA] < 0
-        entered = item > first and state.item_ints[item - 1, ITEM_REQUEST] == 1
-        if values[ITEM_DISTANCE] >= braking and not (leaves and entered):
-            state.item_ints[item, ITEM_REQUEST] = 0
+        planned.pass_speed = planned.wait_speed
+        leaves = net.lanes[net.links[link].from_lane].inside == 1 and net.links[link].via_lane < 0
+        entered = item > first and state.items[item - 1].request == 1
+        if planned.distance >= braking and not (leaves and entered):
+            state.items[item].request = 0
 
 
 @compiled
 def _leaves(net, state, item):  # type: ignore[no-untyped-def]
     """Whether a vehicle past the link of the item before would request to leave the junction by that of ``item``."""
-    link, onward = state.item_ints[item - 1, ITEM_LINK], state.item_ints[item, ITEM_LINK]
-    return net.link_ints[link, LINK_VIA] < 0 or onward < 0 or state.item_ints[item, ITEM_REQUEST] == 1
+    link, onward = state.items[item - 1].link, state.items[item].link
+    return net.links[link].via_lane < 0 or onward < 0 or state.items[item].request == 1
 
 
 @compiled
 def _measure_space(net, traffic, state, v, in_front_m, step_s):  # type: ignore[no-untyped-def]
     """Write the room (m) up to the first stopped vehicle beyond each link; return whether there is one."""
-    first, count = state.ints[v, FIRST_ITEM], state.ints[v, ITEMS]
+    first, count = state.vehicles[v].first_item, state.vehicles[v].items
     space = -in_front_m
     stopped = False
     for item in range(first, first + count):
-        link = state.item_ints[item, ITEM_LINK]
+        link = state.items[item].link
         if link < 0 or stopped:
-            state.item_floats[item, ITEM_SPACE] = space
+            state.items[item].space = space
             continue
-        inside, lane = net.link_ints[link, LINK_VIA], net.link_ints[link, LINK_TO]
-        waiting_point = inside >= 0 and net.lane_ints[net.link_ints[link, LINK_FROM], LANE_INSIDE] == 1
-        if inside >= 0 and (waiting_point or net.link_ints[link, LINK_FOES] > 0):
-            u = state.lanes[inside, LANE_BACK]
+        inside, lane = net.links[link].via_lane, net.links[link].to_lane
+        waiting_point = inside >= 0 and net.lanes[net.links[link].from_lane].inside == 1
+        if inside >= 0 and (waiting_point or net.links[link].foes > 0):
+            u = state.lanes[inside].back
             while u >= 0:
-                space -= traffic.floats[u, LENGTH] + traffic.floats[u, MIN_GAP]
-                u = state.ints[u, AHEAD]
-            if inside == state.ints[v, LANE]:
-                space += traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
+                space -= traffic.drivers[u].length + traffic.drivers[u].min_gap
+                u = state.vehicles[u].ahead
+            if inside == state.vehicles[v].lane:
+                space += traffic.drivers[v].length + traffic.drivers[v].min_gap
         elif inside >= 0:
             room, found = _free_space(net, traffic, state, inside, v, step_s)
             space += room
@@ -112,13 +86,13 @@ def _measure_space(net, traffic, state, v, in_front_m, step_s):  # type: ignore[
         else:
             last = last_vehicle(net, traffic, state, lane, -1)
             if last < 0 or last == v:
-                if net.lane_floats[lane, LANE_LENGTH] > traffic.floats[v, LENGTH] or net.link_ints[link, LINK_FOES] > 0:
-                    space += net.lane_floats[lane, LANE_LENGTH]
+                if net.lanes[lane].length > traffic.drivers[v].length or net.links[link].foes > 0:
+                    space += net.lanes[lane].length
             else:
                 room, found = _free_space(net, traffic, state, lane, v, step_s)
                 space += room
-                stopped = found or state.ints[last, HAS_TO_WAIT] == 1
-        state.item_floats[item, ITEM_SPACE] = space
+                stopped = found or state.vehicles[last].has_to_wait == 1
+        state.items[item].space = space
     return stopped
 
 
@@ -126,13 +100,13 @@ def _measure_space(net, traffic, state, v, in_front_m, step_s):  # type: ignore[
 def _free_space(net, traffic, state, lane, v, step_s):  # type: ignore[no-untyped-def]
     """Return the room (m) on ``lane`` up to the first stopped vehicle, less that of moving ones; if there is one."""
     taken = 0.0
-    u = state.lanes[lane, LANE_BACK]
+    u = state.lanes[lane].back
     while u >= 0:
-        driver = traffic.floats[u]
-        speed = state.floats[u, SPEED]
+        driver = traffic.drivers[u]
+        speed = state.vehicles[u].speed
         if speed < STANDING_MPS and u != v:
-            braking = brake_gap(speed, driver[DECEL], driver[TAU], step_s)
-            return state.floats[u, POSITION] - driver[LENGTH] + braking - taken, True
-        taken += driver[LENGTH] + driver[MIN_GAP]
-        u = state.ints[u, AHEAD]
-    return net.lane_floats[lane, LANE_LENGTH] - taken, False
+            braking = brake_gap(speed, driver.decel, driver.tau, step_s)
+            return state.vehicles[u].position - driver.length + braking - taken, True
+        taken += driver.length + driver.min_gap
+        u = state.vehicles[u].ahead
+    return net.lanes[lane].length - taken, False

@@ -5,7 +5,6 @@ from __future__ import annotations
 from izoo.envs.twin.driving.car_following import desired_speed
 from izoo.envs.twin.lane_change.flags import COOPERATIVE, LEFTWARD, RIGHT_KEEPING, RIGHTWARD, STRATEGIC
 from izoo.envs.twin.runtime.compiled import compiled
-from izoo.envs.twin.runtime.layout import CHANGE_STATE, LANE, LANE_LENGTH, LINK_DIRECTION, POSITION, VARIANT
 
 _RIGHT, _LEFT = 1, 2
 """Bits of ``SIGNALS``, with the values that SUMO's ``vehicle.getSignals`` reports."""
@@ -22,20 +21,20 @@ def blinkers(net, state, v):  # type: ignore[no-untyped-def]
     Requests of the step before come first, except keeping right, for which vehicles do not blink. With requests to both
     sides it blinks to the left if those are for speed alone, otherwise to the right.
     """
-    state_bits = state.ints[v, CHANGE_STATE]
+    state_bits = state.vehicles[v].change_state
     rightward, leftward = state_bits & RIGHTWARD, state_bits & LEFTWARD
     if leftward and not (rightward and state_bits & _MORE_THAN_SPEED):
         return _LEFT
     if rightward and not state_bits & RIGHT_KEEPING:
         return _RIGHT
-    lane = state.ints[v, LANE]
-    left_m = net.lane_floats[lane, LANE_LENGTH] - state.floats[v, POSITION]
+    lane = state.vehicles[v].lane
+    left_m = net.lanes[lane].length - state.vehicles[v].position
     if left_m >= _AHEAD_S * desired_speed(net, state, v, lane):
         return 0
-    link = net.best_link[state.ints[v, VARIANT], lane]
+    link = net.best[state.vehicles[v].variant, lane].link
     if link < 0:
         return 0
-    turn = net.link_ints[link, LINK_DIRECTION]
+    turn = net.links[link].direction
     if turn in _LEFT_TURNS:
         return _LEFT
     return _RIGHT if turn in _RIGHT_TURNS else 0

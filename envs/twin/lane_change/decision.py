@@ -46,36 +46,6 @@ from izoo.envs.twin.lane_change.flags import (
     WANTS_CHANGE_OR_STAY,
 )
 from izoo.envs.twin.runtime.compiled import compiled
-from izoo.envs.twin.runtime.layout import (
-    ACCEL,
-    BLOCKER_LENGTH,
-    CHANGE_MODE,
-    CHANGE_STATE,
-    CHANGE_TARGET,
-    CHANGE_UNTIL_MS,
-    CHANGER_FIRST_BLOCKED,
-    CHANGER_LAST_BLOCKED,
-    DECEL,
-    EDGE_LANES,
-    KEEP_RIGHT,
-    LANE,
-    LANE_EDGE,
-    LANE_INDEX,
-    LANE_INSIDE,
-    LANE_LIMIT,
-    LEFT_SPACE,
-    LENGTH,
-    LOOK_AHEAD_SPEED,
-    MAX_ACCEL,
-    MIN_GAP,
-    NOW_MS,
-    POSITION,
-    SPEED,
-    SPEED_GAIN,
-    SPEED_GAIN_RIGHT,
-    TAU,
-    VARIANT,
-)
 
 _LOOK_AHEAD_DECAY_PER_S = 0.1
 _LOOK_AHEAD_S = 10.0
@@ -121,13 +91,13 @@ class Change(NamedTuple):
 def apply_request(net, state, v, flags):  # type: ignore[no-untyped-def]
     """Let a commanded lane override the requests in ``flags``, and the mode forbid some; return the new state bits."""
     request = 0
-    if state.ints[v, CHANGE_UNTIL_MS] >= state.clock[NOW_MS]:
-        lane, target = state.ints[v, LANE], state.ints[v, CHANGE_TARGET]
-        if target < net.edge_ints[net.lane_ints[lane, LANE_EDGE], EDGE_LANES]:
-            index = net.lane_ints[lane, LANE_INDEX]
+    if state.vehicles[v].change_until_ms >= state.clock.now_ms:
+        lane, target = state.vehicles[v].lane, state.vehicles[v].change_target
+        if target < net.edges[net.lanes[lane].edge].lanes:
+            index = net.lanes[lane].index
             request = RIGHTWARD if index > target else LEFTWARD if index < target else STAY
     if flags & WANTS_CHANGE_OR_STAY:
-        forbidden = state.ints[v, CHANGE_MODE] == ROUTE_ONLY_MODE and not flags & STRATEGIC
+        forbidden = state.vehicles[v].change_mode == ROUTE_ONLY_MODE and not flags & STRATEGIC
         if forbidden or (request and flags & (LEFTWARD | RIGHTWARD | STAY) & ~request):
             flags &= ~(WANTS_CHANGE_OR_STAY | URGENT)
     if request == 0:
@@ -149,37 +119,37 @@ def decide_lane_change(net, traffic, state, v, side, around, blocked, step_s):  
         around: the :class:`~izoo.envs.twin.lane_change.neighbours.Neighbours` for this change.
         blocked: bits of the vehicles that block the change.
     """
-    floats, ints, driver = state.floats, state.ints, traffic.floats[v]
-    lane, variant = ints[v, LANE], ints[v, VARIANT]
+    vehicles, driver = state.vehicles, traffic.drivers[v]
+    lane, variant = vehicles[v].lane, vehicles[v].variant
     target = lane + side
-    position, speed = floats[v, POSITION], floats[v, SPEED]
+    position, speed = vehicles[v].position, vehicles[v].speed
     limit = desired_speed(net, state, v, lane)
     right = side < 0
-    best_offset = net.best_offset[variant, lane]
+    best_offset = net.best[variant, lane].offset
     offset = best_offset
-    if offset == 0 and net.best_offset[variant, target] == 0:
+    if offset == 0 and net.best[variant, target].offset == 0:
         offset = side
-    length, target_length = net.best_length[variant, lane], net.best_length[variant, target]
+    length, target_length = net.best[variant, lane].length, net.best[variant, target].length
     toward = RIGHTWARD if right else LEFTWARD
     opposite = LEFTWARD if right else RIGHTWARD
     to_best = offset * side > 0
 
-    flags = ints[v, CHANGE_STATE] & KEPT
-    last_blocked, first_blocked = state.changer[lane, CHANGER_LAST_BLOCKED], state.changer[lane, CHANGER_FIRST_BLOCKED]
+    flags = vehicles[v].change_state & KEPT
+    last_blocked, first_blocked = state.changer[lane].last_blocked, state.changer[lane].first_blocked
     if last_blocked >= 0:
         flags = slow_for_blocked(net, traffic, state, v, last_blocked, flags, step_s)
     if first_blocked >= 0 and first_blocked != last_blocked:
         flags = slow_for_blocked(net, traffic, state, v, first_blocked, flags, step_s)
 
     # The look-ahead speed rises at once and decays slowly, so that a short stop does not shorten the look-ahead.
-    if speed > floats[v, LOOK_AHEAD_SPEED]:
-        floats[v, LOOK_AHEAD_SPEED] = speed
+    if speed > vehicles[v].look_ahead_speed:
+        vehicles[v].look_ahead_speed = speed
     else:
         memory = 1.0 - _LOOK_AHEAD_DECAY_PER_S * step_s
-        floats[v, LOOK_AHEAD_SPEED] = max(0.0, memory * floats[v, LOOK_AHEAD_SPEED] + (1.0 - memory) * speed)
-    look_ahead_speed = floats[v, LOOK_AHEAD_SPEED]
+        vehicles[v].look_ahead_speed = max(0.0, memory * vehicles[v].look_ahead_speed + (1.0 - memory) * speed)
+    look_ahead_speed = vehicles[v].look_ahead_speed
     look_ahead_m = look_ahead_speed * _LOOK_AHEAD_S * (1.0 if right else _LOOK_AHEAD_LEFT)
-    look_ahead_m += 2.0 * (driver[LENGTH] + driver[MIN_GAP])
+    look_ahead_m += 2.0 * (driver.length + driver.min_gap)
 
     own_occupation = state.changer_density[lane] + downstream_occupancy(net, state, v, lane)
     target_occupation = state.changer_density[target] + downstream_occupancy(net, state, v, target)
@@ -204,7 +174,7 @@ def decide_lane_change(net, traffic, state, v, side, around, blocked, step_s):  
         if (not to_best and target_left_m / (abs(offset) + 2) < look_ahead_m) or (
             offset == 0
             and (
-                target_left_m * 2.0 < look_ahead_m or (net.best_open[variant, target] and target_length < _TURN_LANE_M)
+                target_left_m * 2.0 < look_ahead_m or (net.best[variant, target].open and target_length < _TURN_LANE_M)
             )
         ):
             flags |= STAY | STRATEGIC
@@ -218,7 +188,7 @@ def decide_lane_change(net, traffic, state, v, side, around, blocked, step_s):  
     if flags & URGENT:
         _prepare_urgent_change(net, traffic, state, v, change, around, blocked, flags, step_s)
         return flags
-    if right and offset == 0 and net.lane_floats[lane, LANE_LIMIT] > _MOTORWAY_MPS and look_ahead_speed > STANDING_MPS:
+    if right and offset == 0 and net.lanes[lane].limit > _MOTORWAY_MPS and look_ahead_speed > STANDING_MPS:
         return flags | STAY | STRATEGIC
     return _discretionary_change(net, traffic, state, v, change, around, flags, step_s)
 
@@ -230,42 +200,42 @@ def _stay_behind_left_leader(traffic, state, v, leader, gap, limit, step_s):  # 
     Returns:
         Whether to overtake it on the left instead, and the speed (m/s) that is left on the own lane.
     """
-    driver, speed, leader_speed = traffic.floats[v], state.floats[v, SPEED], state.floats[leader, SPEED]
+    driver, speed, leader_speed = traffic.drivers[v], state.vehicles[v].speed, state.vehicles[leader].speed
     slower = speed - leader_speed
     if slower <= 0.0:
         return False, limit
-    safe = max(follow_speed(driver, gap, speed, leader_speed, limit, step_s), speed - driver[DECEL] * step_s)
-    if state.floats[v, SPEED_GAIN] < _LEFT_THRESHOLD:
+    safe = max(follow_speed(driver, gap, speed, leader_speed, limit, step_s), speed - driver.decel * step_s)
+    if state.vehicles[v].speed_gain < _LEFT_THRESHOLD:
         # It brakes hard only once it would rather change left.
         safe = max(safe, leader_speed)
     add_advice(state, v, safe)
     later = follow_speed(driver, gap - slower * _FORESIGHT_S, speed, leader_speed, limit, step_s)
     if later >= safe:
         return False, safe
-    state.floats[v, SPEED_GAIN] += step_s * slower / max(limit, _MIN_GAIN_SPEED_MPS)
+    state.vehicles[v].speed_gain += step_s * slower / max(limit, _MIN_GAIN_SPEED_MPS)
     return True, safe
 
 
 @compiled
 def _prepare_urgent_change(net, traffic, state, v, change, around, blocked, flags, step_s):  # type: ignore[no-untyped-def]
     """Reserve room for vehicles that cross over, and inform the target lane's leader and follower."""
-    floats, lane, right = state.floats, state.ints[v, LANE], change.side < 0
-    variant = state.ints[v, VARIANT]
-    left_m = net.best_length[variant, lane] - floats[v, POSITION]
-    is_open = net.best_open[variant, lane]
-    if change.to_best and abs(change.offset) > 1 and is_open and not net.lane_ints[lane, LANE_INSIDE]:
+    vehicles, lane, right = state.vehicles, state.vehicles[v].lane, change.side < 0
+    variant = state.vehicles[v].variant
+    left_m = net.best[variant, lane].length - vehicles[v].position
+    is_open = net.best[variant, lane].open
+    if change.to_best and abs(change.offset) > 1 and is_open and not net.lanes[lane].inside:
         reserve = _CROSSING_ROOM_RIGHT_M if right else _CROSSING_ROOM_LEFT_M
-        floats[v, BLOCKER_LENGTH] = max(reserve, floats[v, BLOCKER_LENGTH])
-    floats[v, LEFT_SPACE] = left_m
+        vehicles[v].blocker_length = max(reserve, vehicles[v].blocker_length)
+    vehicles[v].left_space = left_m
     opposite = LEFTWARD if right else RIGHTWARD
-    first_blocked = state.changer[lane, CHANGER_FIRST_BLOCKED]
+    first_blocked = state.changer[lane].first_blocked
     if first_blocked != around.target_leader:
         reserve_room(net, traffic, state, v, first_blocked, opposite, step_s)
     reserve_room(net, traffic, state, v, around.target_leader, opposite, step_s)
     if flags & COMMANDED:
-        remaining_s = (state.ints[v, CHANGE_UNTIL_MS] - state.clock[NOW_MS]) / 1000.0
+        remaining_s = (state.vehicles[v].change_until_ms - state.clock.now_ms) / 1000.0
     else:
-        remaining_s = max(step_s, left_m / max(floats[v, LOOK_AHEAD_SPEED], EPS) / abs(change.offset) / _URGENCY)
+        remaining_s = max(step_s, left_m / max(vehicles[v].look_ahead_speed, EPS) / abs(change.offset) / _URGENCY)
     planned = inform_leader(net, traffic, state, v, around, blocked, not right, remaining_s, step_s)
     if planned >= 0.0:
         inform_follower(net, traffic, state, v, around, blocked, not right, remaining_s, planned, step_s)
@@ -274,17 +244,17 @@ def _prepare_urgent_change(net, traffic, state, v, change, around, blocked, flag
 @compiled
 def _discretionary_change(net, traffic, state, v, change, around, flags, step_s):  # type: ignore[no-untyped-def]
     """Return the state bits of a request that the route does not press for: cooperation, speed gain, keeping right."""
-    floats, driver = state.floats, traffic.floats[v]
-    lane, variant = state.ints[v, LANE], state.ints[v, VARIANT]
+    vehicles, driver = state.vehicles, traffic.drivers[v]
+    lane, variant = state.vehicles[v].lane, state.vehicles[v].variant
     target, right = lane + change.side, change.side < 0
     toward = RIGHTWARD if right else LEFTWARD
-    speed = floats[v, SPEED]
+    speed = vehicles[v].speed
     limit, target_limit = desired_speed(net, state, v, lane), desired_speed(net, state, v, target)
-    target_length = net.best_length[variant, target]
+    target_length = net.best[variant, target].length
     allowed = target_length / (abs(change.offset) + 1) > change.look_ahead_m
 
     wanted = WANTED_RIGHTWARD if right else WANTED_LEFTWARD
-    own = state.ints[v, CHANGE_STATE]
+    own = state.vehicles[v].change_state
     if own & BLOCKS_FOLLOWER and own & wanted and (change.to_best or allowed):
         request = flags | toward | COOPERATIVE | URGENT
         if _is_permitted(net, state, v, request):
@@ -293,7 +263,7 @@ def _discretionary_change(net, traffic, state, v, change, around, flags, step_s)
     leader, leader_gap = around.leader, around.leader_gap
     target_leader, target_gap = around.target_leader, around.target_leader_gap
     chasing = _accelerates(state, leader) or _accelerates(state, target_leader)
-    length = net.best_length[variant, lane]
+    length = net.best[variant, lane].length
     here = _anticipated_speed(traffic, state, v, leader, leader_gap, length, limit, chasing, step_s)
     here = min(limit, change.speed_cap_mps, here)
     there = _anticipated_speed(traffic, state, v, target_leader, target_gap, target_length, limit, chasing, step_s)
@@ -302,37 +272,37 @@ def _discretionary_change(net, traffic, state, v, change, around, flags, step_s)
     lasting = target_length / max(0.1, speed) > _REMAINING_S
     if right:
         if here - _RIGHT_DISCOUNT_MPS > there:
-            floats[v, SPEED_GAIN_RIGHT] = _truncate(floats[v, SPEED_GAIN_RIGHT] * math.pow(0.5, step_s))
+            vehicles[v].speed_gain_right = _truncate(vehicles[v].speed_gain_right * math.pow(0.5, step_s))
         else:
-            floats[v, SPEED_GAIN_RIGHT] = _truncate(floats[v, SPEED_GAIN_RIGHT] + step_s * gain)
-            share = limit / net.lane_floats[lane, LANE_LIMIT]
-            floats[v, KEEP_RIGHT] -= _keep_right_growth(
+            vehicles[v].speed_gain_right = _truncate(vehicles[v].speed_gain_right + step_s * gain)
+            share = limit / net.lanes[lane].limit
+            vehicles[v].keep_right -= _keep_right_growth(
                 driver, state, speed, limit, share, target_length, target_leader, target_gap, step_s
             )
-            if floats[v, KEEP_RIGHT] < -_RIGHT_THRESHOLD:
+            if vehicles[v].keep_right < -_RIGHT_THRESHOLD:
                 request = flags | toward | RIGHT_KEEPING
                 if _is_permitted(net, state, v, request):
                     return request
-        if floats[v, SPEED_GAIN_RIGHT] > _RIGHT_THRESHOLD and lasting:
+        if vehicles[v].speed_gain_right > _RIGHT_THRESHOLD and lasting:
             request = flags | toward | SPEED_GAINING
             if _is_permitted(net, state, v, request):
                 return request
     else:
         if here > there:
-            floats[v, SPEED_GAIN] = _truncate(floats[v, SPEED_GAIN] * math.pow(0.5, step_s))
+            vehicles[v].speed_gain = _truncate(vehicles[v].speed_gain * math.pow(0.5, step_s))
         elif here == there:
-            floats[v, SPEED_GAIN] = _truncate(floats[v, SPEED_GAIN] * math.pow(0.8, step_s))
+            vehicles[v].speed_gain = _truncate(vehicles[v].speed_gain * math.pow(0.8, step_s))
         else:
-            floats[v, SPEED_GAIN] = _truncate(floats[v, SPEED_GAIN] + step_s * gain)
-        if floats[v, SPEED_GAIN] > _LEFT_THRESHOLD and (gain > EPS or change.overtakes_left) and lasting:
+            vehicles[v].speed_gain = _truncate(vehicles[v].speed_gain + step_s * gain)
+        if vehicles[v].speed_gain > _LEFT_THRESHOLD and (gain > EPS or change.overtakes_left) and lasting:
             request = flags | toward | SPEED_GAINING
             if _is_permitted(net, state, v, request):
                 return request
     if (
         change.to_best
-        and change.offset == net.best_offset[variant, lane]
+        and change.offset == net.best[variant, lane].offset
         and gain >= 0.0
-        and (floats[v, SPEED_GAIN_RIGHT] if right else floats[v, SPEED_GAIN]) > 0.0
+        and (vehicles[v].speed_gain_right if right else vehicles[v].speed_gain) > 0.0
     ):
         request = flags | toward | STRATEGIC
         if _is_permitted(net, state, v, request):
@@ -348,7 +318,7 @@ def _truncate(memory):  # type: ignore[no-untyped-def]
 
 @compiled
 def _accelerates(state, leader):  # type: ignore[no-untyped-def]
-    return leader >= 0 and state.floats[leader, ACCEL] > 0.0
+    return leader >= 0 and state.vehicles[leader].accel > 0.0
 
 
 @compiled
@@ -358,27 +328,27 @@ def _anticipated_speed(traffic, state, v, leader, gap, length, limit, chasing, s
     It is safe even if the leader brakes hard; where one of the leaders accelerates (``chasing``), it is the speed of
     the car-following model within a second.
     """
-    driver = traffic.floats[v]
+    driver = traffic.drivers[v]
     if chasing:
-        speed = state.floats[v, SPEED] + driver[MAX_ACCEL] * (1.0 - step_s)
+        speed = state.vehicles[v].speed + driver.max_accel * (1.0 - step_s)
         if leader < 0:
             return follow_speed(driver, length, speed, 0.0, limit, step_s)
-        return follow_speed(driver, gap, speed, state.floats[leader, SPEED], limit, step_s)
+        return follow_speed(driver, gap, speed, state.vehicles[leader].speed, limit, step_s)
     if leader < 0:
-        return safe_stop_speed(length, driver[DECEL], driver[TAU], step_s)
-    decel = max(driver[DECEL], traffic.floats[leader, DECEL])
-    room = gap + brake_gap(state.floats[leader, SPEED], decel, 0.0, step_s)
-    return safe_stop_speed(room, driver[DECEL], driver[TAU], step_s)
+        return safe_stop_speed(length, driver.decel, driver.tau, step_s)
+    decel = max(driver.decel, traffic.drivers[leader].decel)
+    room = gap + brake_gap(state.vehicles[leader].speed, decel, 0.0, step_s)
+    return safe_stop_speed(room, driver.decel, driver.tau, step_s)
 
 
 @compiled
 def _keep_right_growth(driver, state, speed, limit, share, target_length, leader, gap, step_s):  # type: ignore[no-untyped-def]
     """Return the growth of the obligation to keep right: by the time at full speed that the target lane offers."""
     acceptance_s = _ACCEPTANCE_S * share * max(1.0, speed)
-    full_m = max(0.0, target_length - brake_gap(limit, driver[DECEL], driver[TAU], step_s))
+    full_m = max(0.0, target_length - brake_gap(limit, driver.decel, driver.tau, step_s))
     full_s = min(acceptance_s, full_m / limit)
-    if leader >= 0 and state.floats[leader, SPEED] < limit:
-        leader_speed = state.floats[leader, SPEED]
+    if leader >= 0 and state.vehicles[leader].speed < limit:
+        leader_speed = state.vehicles[leader].speed
         full_m = max(0.0, min(full_m, gap - secure_gap(driver, limit, leader_speed)))
         full_s = min(full_s, full_m / (limit - leader_speed))
     return _RIGHT_THRESHOLD * step_s * (full_s / acceptance_s) / _KEEP_RIGHT_S

@@ -4,13 +4,7 @@ from __future__ import annotations
 
 from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
-    EDGE_FIRST_LANE,
-    EDGE_LANES,
-    LANE_EDGE,
-    LANE_INDEX,
-    LANE_INSIDE,
     MAX_LANES_SEEN,
-    VARIANT,
 )
 
 
@@ -23,13 +17,13 @@ def remember_downstream_occupancy(net, state, lane_room, v, lane):  # type: igno
     Args:
         lane_room: ``[L]`` occupancy of each lane, m.
     """
-    edge = net.lane_ints[lane, LANE_EDGE]
-    lanes = net.edge_ints[edge, EDGE_LANES]
-    if lanes == 1 or net.lane_ints[lane, LANE_INSIDE] == 0:
+    edge = net.lanes[lane].edge
+    lanes = net.edges[edge].lanes
+    if lanes == 1 or net.lanes[lane].inside == 0:
         return
-    first = net.edge_ints[edge, EDGE_FIRST_LANE]
+    first = net.edges[edge].first_lane
     for k in range(min(lanes, MAX_LANES_SEEN)):
-        state.room_seen[v, k] = _occupancy_now(net, lane_room, state.ints[v, VARIANT], first + k)
+        state.room_seen[v, k] = _occupancy_now(net, lane_room, state.vehicles[v].variant, first + k)
 
 
 @compiled
@@ -38,17 +32,17 @@ def downstream_occupancy(net, state, v, lane):  # type: ignore[no-untyped-def]
 
     For a vehicle inside a junction it is that of when the vehicle came to its lane.
     """
-    index = net.lane_ints[lane, LANE_INDEX]
-    if net.lane_ints[lane, LANE_INSIDE] and index < MAX_LANES_SEEN:
+    index = net.lanes[lane].index
+    if net.lanes[lane].inside and index < MAX_LANES_SEEN:
         return state.room_seen[v, index]
-    return _occupancy_now(net, state.lane_room, state.ints[v, VARIANT], lane)
+    return _occupancy_now(net, state.lane_room, state.vehicles[v].variant, lane)
 
 
 @compiled
 def _occupancy_now(net, lane_room, variant, lane):  # type: ignore[no-untyped-def]
     taken = 0.0
-    lane = net.best_road[variant, lane]
+    lane = net.best[variant, lane].road
     while lane >= 0:
         taken += lane_room[lane]
-        lane = net.best_road[variant, lane]
+        lane = net.best[variant, lane].road
     return taken

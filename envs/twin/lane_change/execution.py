@@ -22,73 +22,43 @@ from izoo.envs.twin.lane_change.flags import (
 from izoo.envs.twin.lane_change.neighbours import Neighbours, follower_on_lane, leader_beyond, leader_on_lane
 from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
-    ACTIVE_FIRST,
-    ACTIVE_NEXT,
-    ACTIVE_SERVED,
-    ADVICES,
-    BEHIND,
-    CHANGE_COMMAND,
-    CHANGE_STATE,
-    CHANGE_TARGET,
-    CHANGE_UNTIL_MS,
-    CHANGER_FIRST_BLOCKED,
-    CHANGER_LAST_BLOCKED,
-    CHANGER_NEXT,
-    EDGE_CHANGES,
-    EDGE_FIRST_LANE,
-    EDGE_LANES,
-    LANE,
-    LANE_COUNT,
-    LANE_EDGE,
-    LANE_FRONT,
-    LANE_INDEX,
-    LANE_LEFT,
-    LANE_RIGHT,
-    LENGTH,
-    LINK_FROM,
     MAX_TAIL_LANES,
-    MIN_GAP,
-    NOW_MS,
-    POSITION,
-    SPEED,
-    STEP_COUNT,
-    TAIL_LANES,
 )
 
 
 @compiled
 def read_lane_command(net, state, v, step_ms):  # type: ignore[no-untyped-def]
     """Turn the commanded change of this step into a target lane, as ``vehicle.changeLaneRelative`` does."""
-    change = state.ints[v, CHANGE_COMMAND]
+    change = state.vehicles[v].change_command
     if change == 0:
         return
-    state.ints[v, CHANGE_COMMAND] = 0
-    target = net.lane_ints[state.ints[v, LANE], LANE_INDEX] + change
+    state.vehicles[v].change_command = 0
+    target = net.lanes[state.vehicles[v].lane].index + change
     if target >= 0:
-        state.ints[v, CHANGE_TARGET] = target
-        state.ints[v, CHANGE_UNTIL_MS] = state.clock[NOW_MS] + step_ms
+        state.vehicles[v].change_target = target
+        state.vehicles[v].change_until_ms = state.clock.now_ms + step_ms
 
 
 @compiled
 def change_lanes(net, traffic, state, step_ms):  # type: ignore[no-untyped-def]
     """Change lanes on every edge with several lanes, after all vehicles have moved."""
     _measure_room(traffic, state)
-    lane = state.clock[ACTIVE_FIRST]
+    lane = state.clock.first_active
     while lane >= 0:
-        edge = net.lane_ints[lane, LANE_EDGE]
-        if net.edge_ints[edge, EDGE_LANES] == 1:
+        edge = net.lanes[lane].edge
+        if net.edges[edge].lanes == 1:
             break
-        first = net.edge_ints[edge, EDGE_FIRST_LANE]
-        if net.edge_ints[edge, EDGE_CHANGES] and state.active[first, ACTIVE_SERVED] != state.clock[STEP_COUNT]:
-            state.active[first, ACTIVE_SERVED] = state.clock[STEP_COUNT]
+        first = net.edges[edge].first_lane
+        if net.edges[edge].changes and state.active[first].served != state.clock.steps:
+            state.active[first].served = state.clock.steps
             change_on_edge(net, traffic, state, edge, step_ms / 1000.0)
-        lane = state.active[lane, ACTIVE_NEXT]
-    lane = state.clock[ACTIVE_FIRST]
-    while lane >= 0 and net.edge_ints[net.lane_ints[lane, LANE_EDGE], EDGE_LANES] > 1:
-        after = state.active[lane, ACTIVE_NEXT]
-        if net.lane_ints[lane, LANE_LEFT] >= 0 and state.lanes[lane + 1, LANE_COUNT] > 0:
+        lane = state.active[lane].next
+    lane = state.clock.first_active
+    while lane >= 0 and net.edges[net.lanes[lane].edge].lanes > 1:
+        after = state.active[lane].next
+        if net.lanes[lane].left >= 0 and state.lanes[lane + 1].count > 0:
             activate(net, state, lane + 1)
-        if net.lane_ints[lane, LANE_RIGHT] >= 0 and state.lanes[lane - 1, LANE_COUNT] > 0:
+        if net.lanes[lane].right >= 0 and state.lanes[lane - 1].count > 0:
             activate(net, state, lane - 1)
         lane = after
 
@@ -98,38 +68,36 @@ def _measure_room(traffic, state):  # type: ignore[no-untyped-def]
     """Compute the occupancy of each lane: the vehicles' lengths and standstill gaps."""
     for lane in range(state.lane_room.shape[0]):
         state.lane_room[lane] = 0.0
-    lane = state.clock[ACTIVE_FIRST]
+    lane = state.clock.first_active
     while lane >= 0:
-        v = state.lanes[lane, LANE_FRONT]
+        v = state.lanes[lane].front
         while v >= 0:
-            state.lane_room[lane] += traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
-            v = state.ints[v, BEHIND]
-        lane = state.active[lane, ACTIVE_NEXT]
+            state.lane_room[lane] += traffic.drivers[v].length + traffic.drivers[v].min_gap
+            v = state.vehicles[v].behind
+        lane = state.active[lane].next
 
 
 @compiled
 def change_on_edge(net, traffic, state, edge, step_s):  # type: ignore[no-untyped-def]
     """Change lanes on one edge."""
-    first = net.edge_ints[edge, EDGE_FIRST_LANE]
-    end = first + net.edge_ints[edge, EDGE_LANES]
+    first = net.edges[edge].first_lane
+    end = first + net.edges[edge].lanes
     total = 0
     for lane in range(first, end):
-        total += state.lanes[lane, LANE_COUNT]
-        state.changer[lane, CHANGER_NEXT] = state.lanes[lane, LANE_FRONT]
-        state.changer[lane, CHANGER_FIRST_BLOCKED] = state.changer[lane, CHANGER_LAST_BLOCKED] = -1
+        total += state.lanes[lane].count
+        state.changer[lane].next = state.lanes[lane].front
+        state.changer[lane].first_blocked = state.changer[lane].last_blocked = -1
         state.changer_density[lane] = 0.0
     for _ in range(total):
         lane = -1
         for k in range(first, end):
-            v = state.changer[k, CHANGER_NEXT]
-            if v >= 0 and (
-                lane < 0 or state.floats[v, POSITION] > state.floats[state.changer[lane, CHANGER_NEXT], POSITION]
-            ):
+            v = state.changer[k].next
+            if v >= 0 and (lane < 0 or state.vehicles[v].position > state.vehicles[state.changer[lane].next].position):
                 lane = k
-        v = state.changer[lane, CHANGER_NEXT]
-        state.changer[lane, CHANGER_NEXT] = state.ints[v, BEHIND]
+        v = state.changer[lane].next
+        state.changer[lane].next = state.vehicles[v].behind
         now_on = _consider_change(net, traffic, state, v, lane, step_s)
-        state.changer_density[now_on] += traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
+        state.changer_density[now_on] += traffic.drivers[v].length + traffic.drivers[v].min_gap
 
 
 @compiled
@@ -137,15 +105,15 @@ def _consider_change(net, traffic, state, v, lane, step_s):  # type: ignore[no-u
     """Consider a change to the right, then to the left; execute it if it is wanted and not blocked; return the lane."""
     leader, gap = leader_on_lane(net, traffic, state, v, lane, step_s)
     rightward = leftward = 0
-    if net.lane_ints[lane, LANE_RIGHT] >= 0:
+    if net.lanes[lane].right >= 0:
         rightward = _evaluate_change(net, traffic, state, v, lane - 1, leader, gap, step_s)
         if rightward & RIGHTWARD and not rightward & BLOCKED:
             _execute_change(net, traffic, state, v, lane - 1)
             return lane - 1
         if rightward & RIGHTWARD and rightward & URGENT:
             _record_blocked(state, v, lane - 1)
-    if net.lane_ints[lane, LANE_LEFT] >= 0:
-        advices = state.ints[v, ADVICES]
+    if net.lanes[lane].left >= 0:
+        advices = state.vehicles[v].advices
         leftward = _evaluate_change(net, traffic, state, v, lane + 1, leader, gap, step_s)
         if leftward & LEFTWARD and not leftward & BLOCKED:
             _execute_change(net, traffic, state, v, lane + 1)
@@ -154,37 +122,37 @@ def _consider_change(net, traffic, state, v, lane, step_s):  # type: ignore[no-u
             _record_blocked(state, v, lane + 1)
         if rightward & RIGHTWARD:
             # With a wish to the right, the speeds advised for the left are dropped.
-            state.ints[v, ADVICES] = advices
-    state.ints[v, CHANGE_STATE] = rightward | leftward
+            state.vehicles[v].advices = advices
+    state.vehicles[v].change_state = rightward | leftward
     return lane
 
 
 @compiled
 def _record_blocked(state, v, lane):  # type: ignore[no-untyped-def]
     """Make the blocked ``v`` known to vehicles behind it on the lane that it must change to."""
-    state.changer[lane, CHANGER_LAST_BLOCKED] = v
-    if state.changer[lane, CHANGER_FIRST_BLOCKED] < 0:
-        state.changer[lane, CHANGER_FIRST_BLOCKED] = v
+    state.changer[lane].last_blocked = v
+    if state.changer[lane].first_blocked < 0:
+        state.changer[lane].first_blocked = v
 
 
 @compiled
 def _evaluate_change(net, traffic, state, v, lane, leader, gap, step_s):  # type: ignore[no-untyped-def]
     """Return the state bits for a change to the target ``lane``: what blocks it, and whether it is wanted."""
-    right = lane < state.ints[v, LANE]
+    right = lane < state.vehicles[v].lane
     by_leader = RIGHT_LEADER_BLOCKS if right else LEFT_LEADER_BLOCKS
     by_follower = RIGHT_FOLLOWER_BLOCKS if right else LEFT_FOLLOWER_BLOCKS
     target_leader, target_gap = leader_on_lane(net, traffic, state, v, lane, step_s)
     follower, follower_gap = follower_on_lane(net, traffic, state, v, lane)
-    speed, blocked = state.floats[v, SPEED], 0
+    speed, blocked = state.vehicles[v].speed, 0
     if follower >= 0:
         if follower_gap < 0.0:
             blocked |= by_follower | OVERLAPS
-        elif follower_gap < secure_gap(traffic.floats[follower], state.floats[follower, SPEED], speed):
+        elif follower_gap < secure_gap(traffic.drivers[follower], state.vehicles[follower].speed, speed):
             blocked |= by_follower
     if target_leader >= 0:
         if target_gap < 0.0:
             blocked |= by_leader | OVERLAPS
-        elif target_gap < secure_gap(traffic.floats[v], speed, state.floats[target_leader, SPEED]):
+        elif target_gap < secure_gap(traffic.drivers[v], speed, state.vehicles[target_leader].speed):
             blocked |= by_leader
     around = Neighbours(leader, gap, target_leader, target_gap, follower, follower_gap)
     wish = decide_lane_change(net, traffic, state, v, -1 if right else 1, around, blocked, step_s)
@@ -193,7 +161,7 @@ def _evaluate_change(net, traffic, state, v, lane, leader, gap, step_s):  # type
         # Before it changes, it also checks for a vehicle beyond the leader that restricts it more.
         other, other_gap = leader_beyond(net, traffic, state, v, lane, False, step_s)
         is_beyond = other >= 0 and other != target_leader
-        if is_beyond and other_gap < secure_gap(traffic.floats[v], speed, state.floats[other, SPEED]):
+        if is_beyond and other_gap < secure_gap(traffic.drivers[v], speed, state.vehicles[other].speed):
             flags |= by_leader
     return apply_request(net, state, v, flags)
 
@@ -201,11 +169,11 @@ def _evaluate_change(net, traffic, state, v, lane, leader, gap, step_s):  # type
 @compiled
 def _execute_change(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
     """Move ``v`` with its tail to the neighbouring ``lane``, and clear its memories."""
-    ints = state.ints
-    room = traffic.floats[v, LENGTH] + traffic.floats[v, MIN_GAP]
-    state.lane_room[ints[v, LANE]] -= room
+    vehicles = state.vehicles
+    room = traffic.drivers[v].length + traffic.drivers[v].min_gap
+    state.lane_room[vehicles[v].lane] -= room
     state.lane_room[lane] += room
-    tails = ints[v, TAIL_LANES]
+    tails = vehicles[v].tail_lanes
     clear_tail(state, v)
     remove_from_lane(state, v)
     insert_into_lane(state, v, lane)
@@ -221,11 +189,11 @@ def _set_tail_after_change(net, traffic, state, v, lane, count):  # type: ignore
     """Put the tail on the lanes that lead to the new one, on the edges that it was on."""
     known, before = 0, lane
     for k in range(min(count, MAX_TAIL_LANES)):
-        edge = net.lane_ints[state.tail_lane[v, k], LANE_EDGE]
+        edge = net.lanes[state.tail_lane[v, k]].edge
         found = -1
         for j in range(net.incoming_start[before], net.incoming_start[before + 1]):
-            candidate = net.link_ints[net.incoming_links[j], LINK_FROM]
-            if net.lane_ints[candidate, LANE_EDGE] == edge:
+            candidate = net.links[net.incoming_links[j]].from_lane
+            if net.lanes[candidate].edge == edge:
                 found = candidate
                 break
         if found < 0:

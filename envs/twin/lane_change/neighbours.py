@@ -13,41 +13,20 @@ from izoo.envs.twin.driving.lane_queues import last_tail, last_vehicle, rear_pos
 from izoo.envs.twin.driving.tolerances import STANDING_MPS
 from izoo.envs.twin.driving.traffic_lights import is_major
 from izoo.envs.twin.junction.leaders import leader_in_conflict
-from izoo.envs.twin.net.conflicts import CONFLICT_FOE_TO_END, CONFLICT_KIND, CONFLICT_LANE, CONFLICT_TO_END, DIVERGING
+from izoo.envs.twin.net.conflicts import DIVERGING
 from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
-    AHEAD,
-    CHANGER_NEXT,
-    DECEL,
     EDGE_CHANGES,
     EDGE_FIRST_LANE,
     EDGE_INSIDE,
     EDGE_LANES,
-    FLEET_DECEL,
-    FLEET_FROM_MS,
-    FLEET_MIN_GAP,
-    LANE,
-    LANE_BACK,
-    LANE_EDGE,
-    LANE_FRONT,
-    LANE_INSIDE,
     LANE_LEFT,
     LANE_LENGTH,
-    LANE_LIMIT,
     LANE_RIGHT,
-    LANE_TAILS,
-    LENGTH,
     LINK_FROM,
     LINK_NEXT,
     LINK_PROGRAM,
     LINK_STATE,
-    MIN_GAP,
-    NOW_MS,
-    POSITION,
-    SPEED,
-    TAIL_LANES,
-    TAU,
-    VARIANT,
 )
 
 _MAX_BRAKING_M = 1000.0
@@ -98,16 +77,16 @@ def mark_lane_changing(
 @compiled
 def leader_on_lane(net, traffic, state, v, lane, step_s):  # type: ignore[no-untyped-def]
     """Return the leader of ``v`` on ``lane`` of its edge, or -1, and the gap (m, less the standstill gap)."""
-    floats = state.floats
-    if lane == state.ints[v, LANE]:
-        leader = state.ints[v, AHEAD]
+    vehicles = state.vehicles
+    if lane == state.vehicles[v].lane:
+        leader = state.vehicles[v].ahead
     else:
-        behind = state.changer[lane, CHANGER_NEXT]
-        leader = state.ints[behind, AHEAD] if behind >= 0 else state.lanes[lane, LANE_BACK]
-    front, min_gap = floats[v, POSITION], traffic.floats[v, MIN_GAP]
+        behind = state.changer[lane].next
+        leader = state.vehicles[behind].ahead if behind >= 0 else state.lanes[lane].back
+    front, min_gap = vehicles[v].position, traffic.drivers[v].min_gap
     if leader >= 0:
-        return leader, floats[leader, POSITION] - traffic.floats[leader, LENGTH] - front - min_gap
-    if state.lanes[lane, LANE_TAILS] > 0:
+        return leader, vehicles[leader].position - traffic.drivers[leader].length - front - min_gap
+    if state.lanes[lane].tails > 0:
         leader = last_tail(net, traffic, state, lane, v)
         if leader >= 0:
             return leader, rear_position(net, traffic, state, leader, lane) - front - min_gap
@@ -124,22 +103,22 @@ def leader_beyond(net, traffic, state, v, lane, nearest, step_s):  # type: ignor
     Returns:
         The vehicle, or -1; the gap (m, less the standstill gap).
     """
-    driver, speed = traffic.floats[v], state.floats[v, SPEED]
-    variant = state.ints[v, VARIANT]
-    reach = brake_gap(speed, driver[DECEL], driver[TAU], step_s) + driver[MIN_GAP]
-    seen = net.lane_floats[lane, LANE_LENGTH] - state.floats[v, POSITION]
-    desired = desired_speed(net, state, v, state.ints[v, LANE])
+    driver, speed = traffic.drivers[v], state.vehicles[v].speed
+    variant = state.vehicles[v].variant
+    reach = brake_gap(speed, driver.decel, driver.tau, step_s) + driver.min_gap
+    seen = net.lanes[lane].length - state.vehicles[v].position
+    desired = desired_speed(net, state, v, state.vehicles[v].lane)
     found, found_gap, least = -1, 0.0, math.inf
-    while seen <= reach or net.lane_ints[lane, LANE_INSIDE]:
-        link = net.best_link[variant, lane]
+    while seen <= reach or net.lanes[lane].inside:
+        link = net.best[variant, lane].link
         if link < 0:
             break
-        lane = net.link_ints[link, LINK_NEXT]
+        lane = net.links[link].next_lane
         for on_lane in range(2):
             if on_lane:
                 leader, gap = last_vehicle(net, traffic, state, lane, v), 0.0
                 if leader >= 0:
-                    gap = seen + rear_position(net, traffic, state, leader, lane) - driver[MIN_GAP]
+                    gap = seen + rear_position(net, traffic, state, leader, lane) - driver.min_gap
             else:
                 leader, gap = leader_in_conflict(net, traffic, state, v, link, seen, step_s)
             if leader < 0:
@@ -148,34 +127,34 @@ def leader_beyond(net, traffic, state, v, lane, nearest, step_s):  # type: ignor
                 return leader, gap
             safe = 0.0
             if gap >= 0.0:
-                safe = follow_speed(driver, gap, speed, state.floats[leader, SPEED], desired, step_s)
+                safe = follow_speed(driver, gap, speed, state.vehicles[leader].speed, desired, step_s)
             if safe < least:
                 found, found_gap, least = leader, gap, safe
         limit = desired_speed(net, state, v, lane)
         if limit < speed:
-            reach = brake_gap(limit, driver[DECEL], driver[TAU], step_s)
-        seen += net.lane_floats[lane, LANE_LENGTH]
+            reach = brake_gap(limit, driver.decel, driver.tau, step_s)
+        seen += net.lanes[lane].length
     return found, found_gap
 
 
 @compiled
 def follower_on_lane(net, traffic, state, v, lane):  # type: ignore[no-untyped-def]
     """Return the follower of ``v`` on ``lane`` of its edge, or -1, and the gap (m, less its standstill gap)."""
-    back = state.floats[v, POSITION] - traffic.floats[v, LENGTH]
-    follower = state.changer[lane, CHANGER_NEXT]
+    back = state.vehicles[v].position - traffic.drivers[v].length
+    follower = state.changer[lane].next
     if follower >= 0:
-        return follower, back - state.floats[follower, POSITION] - traffic.floats[follower, MIN_GAP]
+        return follower, back - state.vehicles[follower].position - traffic.drivers[follower].min_gap
     return _follower_upstream(net, traffic, state, v, lane, back)
 
 
 @compiled
 def _search_distance(net, traffic, state, lane):  # type: ignore[no-untyped-def]
     """Return how far (m) SUMO searches upstream of ``lane``: the braking distance of the worst vehicle type so far."""
-    limit = net.lane_floats[lane, LANE_LIMIT]
+    limit = net.lanes[lane].limit
     row = traffic.fleet.shape[0] - 1
-    while row > 0 and traffic.fleet[row, FLEET_FROM_MS] > state.clock[NOW_MS]:
+    while row > 0 and traffic.fleet[row].from_ms > state.clock.now_ms:
         row -= 1
-    way = limit * limit * 0.5 / traffic.fleet[row, FLEET_DECEL] + traffic.fleet[row, FLEET_MIN_GAP]
+    way = limit * limit * 0.5 / traffic.fleet[row].decel + traffic.fleet[row].min_gap
     return min(way, _MAX_BRAKING_M)
 
 
@@ -191,33 +170,35 @@ def _follower_upstream(net, traffic, state, v, lane, back):  # type: ignore[no-u
     while done < count:
         link, way = queue[done], ways[done]
         done += 1
-        before = net.link_ints[link, LINK_FROM]
+        before = net.links[link].from_lane
         follower, gap, covered = _first_upstream(net, traffic, state, v, before, link, way, back)
         if follower >= 0:
-            lacking = secure_gap(traffic.floats[follower], state.floats[follower, SPEED], state.floats[v, SPEED]) - gap
+            lacking = (
+                secure_gap(traffic.drivers[follower], state.vehicles[follower].speed, state.vehicles[v].speed) - gap
+            )
             if found < 0 or lacking > worst:
                 found, found_gap, worst = follower, gap, lacking
         # A vehicle from the same lane counts until its rear is where the ways have diverged, as long as the rear of
         # ``v`` is less than the length of ``v`` past that place.
-        rear_left = net.lane_floats[before, LANE_LENGTH] - back - way
-        first = net.conflict_first[link]
-        rows = net.conflict_count[link] if rear_left > 0.0 else 0
+        rear_left = net.lanes[before].length - back - way
+        first = net.links[link].first_conflict
+        rows = net.links[link].conflicts if rear_left > 0.0 else 0
         for row in range(first, first + rows):
-            if net.conflict_ints[row, CONFLICT_KIND] != DIVERGING:
+            if net.conflicts[row].kind != DIVERGING:
                 continue
-            if rear_left + traffic.floats[v, LENGTH] < net.conflict_floats[row, CONFLICT_TO_END]:
+            if rear_left + traffic.drivers[v].length < net.conflicts[row].to_end:
                 continue
-            beside = net.conflict_ints[row, CONFLICT_LANE]
-            parting = net.lane_floats[beside, LANE_LENGTH] - net.conflict_floats[row, CONFLICT_FOE_TO_END]
-            for k in range(-1, state.lanes[beside, LANE_TAILS]):
-                follower = state.lanes[beside, LANE_FRONT] if k < 0 else state.tails[beside, k]
+            beside = net.conflicts[row].lane
+            parting = net.lanes[beside].length - net.conflicts[row].foe_to_end
+            for k in range(-1, state.lanes[beside].tails):
+                follower = state.lanes[beside].front if k < 0 else state.tails[beside, k]
                 if follower < 0 or follower == v:
                     continue
                 rear = rear_position(net, traffic, state, follower, beside)
                 if rear < parting:
-                    gap = way - rear - traffic.floats[follower, LENGTH] + back - traffic.floats[follower, MIN_GAP]
-                    other = state.floats[follower, SPEED]
-                    lacking = secure_gap(traffic.floats[follower], other, state.floats[v, SPEED]) - gap
+                    gap = way - rear - traffic.drivers[follower].length + back - traffic.drivers[follower].min_gap
+                    other = state.vehicles[follower].speed
+                    lacking = secure_gap(traffic.drivers[follower], other, state.vehicles[v].speed) - gap
                     if found < 0 or lacking > worst:
                         found, found_gap, worst = follower, gap, lacking
         if not covered and way + back < _search_distance(net, traffic, state, before):
@@ -233,7 +214,7 @@ def _enqueue(net, queue, ways, count, lane, way):  # type: ignore[no-untyped-def
             break
         link = net.incoming_links[k]
         queue[count] = link
-        ways[count] = way + net.lane_floats[net.link_ints[link, LINK_FROM], LANE_LENGTH]
+        ways[count] = way + net.lanes[net.links[link].from_lane].length
         count += 1
     return count
 
@@ -245,25 +226,25 @@ def _first_upstream(net, traffic, state, v, lane, link, way, back):  # type: ign
     Returns:
         The vehicle or -1; its gap (m); whether the search ends there on this way.
     """
-    if state.lanes[lane, LANE_TAILS] > 0:
+    if state.lanes[lane].tails > 0:
         other = last_tail(net, traffic, state, lane, v)
         if other >= 0:
             # Its front is beside ``v`` or past it, and the search ends; or it went another way.
-            edge = net.lane_ints[state.ints[v, LANE], LANE_EDGE]
-            if net.lane_ints[state.ints[other, LANE], LANE_EDGE] == edge:
+            edge = net.lanes[state.vehicles[v].lane].edge
+            if net.lanes[state.vehicles[other].lane].edge == edge:
                 return -1, 0.0, True
-            for k in range(state.ints[other, TAIL_LANES]):
-                if net.lane_ints[state.tail_lane[other, k], LANE_EDGE] == edge:
+            for k in range(state.vehicles[other].tail_lanes):
+                if net.lanes[state.tail_lane[other, k]].edge == edge:
                     return -1, 0.0, True
-            gap = way - net.lane_floats[lane, LANE_LENGTH] + back - traffic.floats[other, MIN_GAP]
+            gap = way - net.lanes[lane].length + back - traffic.drivers[other].min_gap
             if gap <= 0.0:
                 return other, gap, True
-    first = state.lanes[lane, LANE_FRONT]
+    first = state.lanes[lane].front
     if first < 0 or first == v:
         return -1, 0.0, False
-    gap = way - state.floats[first, POSITION] + back - traffic.floats[first, MIN_GAP]
-    clear_of_it = back + way >= net.lane_floats[lane, LANE_LENGTH]
-    if clear_of_it and not is_major(state.link_letter[link]) and state.floats[first, SPEED] < STANDING_MPS:
+    gap = way - state.vehicles[first].position + back - traffic.drivers[first].min_gap
+    clear_of_it = back + way >= net.lanes[lane].length
+    if clear_of_it and not is_major(state.link_letter[link]) and state.vehicles[first].speed < STANDING_MPS:
         # A vehicle that stands on a minor road does not block, unless the rear of ``v`` is still beside that road.
         gap = max(gap, 0.0)
     return first, gap, True

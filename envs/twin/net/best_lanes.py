@@ -32,6 +32,7 @@ from izoo.envs.twin.runtime.layout import (
     PHASE_STATE,
     PROGRAM_FIRST_PHASE,
     PROGRAM_PHASES,
+    Best,
 )
 from izoo.errors import IzooError
 
@@ -48,12 +49,11 @@ class BestTables(NamedTuple):
         variant_group: ``[R, MAX_CHECKED_LINKS]`` int32, links of one group leave one edge; only differences within a
             group count.
         variant_bits: ``[X]`` int64, bit ``k`` is 1 where link ``k`` has priority and another of its group has not.
-        best_length: ``[X, L]`` float64, length (m) that can be driven from the lane's begin without a change;
-            of inside lanes: of the lane behind the junction.
-        best_offset: ``[X, L]`` int32, lanes to change (positive: to the left) to the best lane.
-        best_link: ``[X, L]`` int32, the link to continue by; -1 if there is none, or the route ends.
-        best_open: ``[X, L]`` bool: the lane at which the way ends (the route's end, or a dead end) has links.
-        best_road: ``[X, L]`` int32, the lane behind the junction to which that link leads; -1 where there is none.
+        best: ``[X, L]`` records: ``length`` (m) that can be driven from the lane's begin without a change, of inside
+            lanes that of the lane behind the junction; ``offset``, lanes to change (positive: to the left) to the best
+            lane; ``link`` to continue by, -1 if there is none, or the route ends; ``road``, the lane behind the
+            junction to which that link leads, -1 where there is none; ``open``, 1 where the lane at which the way ends
+            (the route's end, or a dead end) has links.
     """
 
     variant_first: np.ndarray
@@ -61,11 +61,7 @@ class BestTables(NamedTuple):
     variant_links: np.ndarray
     variant_group: np.ndarray
     variant_bits: np.ndarray
-    best_length: np.ndarray
-    best_offset: np.ndarray
-    best_link: np.ndarray
-    best_open: np.ndarray
-    best_road: np.ndarray
+    best: np.ndarray
 
 
 class NetTables(NamedTuple):
@@ -115,13 +111,10 @@ def tabulate_best_lanes(net: NetTables, route_edges: np.ndarray) -> BestTables:
             bits.append(sum(1 << k for k, has_priority in enumerate(pattern) if has_priority))
             priority = {link: has_priority for (link, _), has_priority in zip(checked, pattern, strict=True)}
             rows.append(_best_lanes(net, edges, priority))
-    columns = [np.stack(column) for column in zip(*rows, strict=True)] if rows else _no_rows(lane_count)
-    return BestTables(first, number, links, group, np.array(bits, np.int64), *columns)
-
-
-def _no_rows(lane_count: int) -> list[np.ndarray]:
-    shape = (0, lane_count)
-    return [np.zeros(shape, dtype) for dtype in (np.float64, np.int32, np.int32, bool, np.int32)]
+    best = np.zeros((len(rows), lane_count), Best)
+    for row, columns in zip(best, rows, strict=True):
+        row["length"], row["offset"], row["link"], row["open"], row["road"] = columns
+    return BestTables(first, number, links, group, np.array(bits, np.int64), best)
 
 
 def _patterns(net: NetTables, edges: Sequence[int]) -> tuple[list[tuple[int, int]], list[tuple[bool, ...]]]:
@@ -254,7 +247,7 @@ def _point_to_best(
 @compiled
 def find_variant(net, state, route):  # type: ignore[no-untyped-def]
     """Return the variant of ``route`` for the letters that the links show now."""
-    first, count = net.variant_first[route], net.variant_count[route]
+    first, count = net.routes[route].first_variant, net.routes[route].variants
     if count == 1:
         return first
     links, groups = net.variant_links[route], net.variant_group[route]

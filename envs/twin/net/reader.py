@@ -13,7 +13,7 @@ import numpy as np
 
 from izoo.envs.twin.lane_change.neighbours import incoming_links_of, mark_lane_changing
 from izoo.envs.twin.net.best_lanes import NetTables, tabulate_best_lanes
-from izoo.envs.twin.net.conflicts import Ways, find_conflicts
+from izoo.envs.twin.net.conflicts import Conflicts, Ways, find_conflicts
 from izoo.envs.twin.net.routes import find_routes
 from izoo.envs.twin.net.supported import check_supported
 from izoo.envs.twin.runtime.layout import (
@@ -51,8 +51,18 @@ from izoo.envs.twin.runtime.layout import (
     PROGRAM_FIRST_PHASE,
     PROGRAM_OFFSET_MS,
     PROGRAM_PHASES,
+    Conflict,
+    Driver,
+    Edge,
+    Fleet,
+    Lane,
+    Link,
+    Phase,
+    Program,
+    Route,
     TwinNet,
     TwinTraffic,
+    records,
 )
 from izoo.errors import IzooError
 from izoo.networks.clock import to_ms
@@ -143,25 +153,32 @@ class _Reader:
         incoming = incoming_links_of(link_ints, len(self.lanes))
         shapes = [lane_shape(lane) for lane in self.lanes]
         width_m = np.array([float(lane.get("width", _DEFAULT_WIDTH_M)) for lane in self.lanes])
+        conflicts = self._conflicts(lane_floats, lane_ints, link_ints, shapes, width_m, responses, foes)
+        exit_edge = np.array([row[row >= 0][-1] for row in routes.route_edges], np.int32)
         net = TwinNet(
-            lane_floats=lane_floats,
-            lane_ints=lane_ints,
-            edge_ints=edge_ints,
-            link_ints=link_ints,
+            lanes=records(Lane, lane_floats, lane_ints),
+            edges=records(Edge, edge_ints),
+            links=records(
+                Link, link_ints, conflicts.first, conflicts.count, conflicts.wait_first, conflicts.wait_count
+            ),
             responses=responses,
             foes=foes,
-            program_ints=programs,
-            phase_ints=phases,
+            programs=records(Program, programs),
+            phases=records(Phase, phases),
             phase_letters=letters,
             program_first_link=np.searchsorted(shown[shown_order], np.arange(len(self.programs) + 1)).astype(np.int32),
             program_links=signal_links[shown_order].astype(np.int32),
             **routes._asdict(),
-            route_exit_edge=np.array([row[row >= 0][-1] for row in routes.route_edges], np.int32),
+            routes=records(Route, exit_edge, best.variant_first, best.variant_count),
+            conflicts=records(Conflict, conflicts.floats, conflicts.ints),
+            best=best.best,
+            wait_foes=conflicts.wait_foes,
+            variant_links=best.variant_links,
+            variant_group=best.variant_group,
+            variant_bits=best.variant_bits,
             source_lanes=np.flatnonzero(np.isin(lane_ints[:, LANE_EDGE], routes.route_edges[:, 0])).astype(np.int32),
-            **best._replace(best_open=best.best_open.astype(np.uint8))._asdict(),
             incoming_start=incoming[0],
             incoming_links=incoming[1],
-            **self._conflicts(lane_floats, lane_ints, link_ints, shapes, width_m, responses, foes),
         )
         return TwinWorld(net, tuple(self.lane_rows), tuple(self.edge_rows), tuple(self.program_rows))
 
@@ -257,8 +274,7 @@ class _Reader:
         width_m: np.ndarray,
         responses: np.ndarray,
         foes: np.ndarray,
-    ) -> dict[str, np.ndarray]:
-        """Return the tables of :class:`~izoo.envs.twin.net.conflicts.Conflicts` under their names in the net."""
+    ) -> Conflicts:
 
         def ranges(rows: np.ndarray, first: int, count: int) -> dict[int, set[int]]:
             return {k: set(rows[link[first] : link[first] + link[count]].tolist()) for k, link in enumerate(link_ints)}
@@ -272,8 +288,7 @@ class _Reader:
             ranges(responses, LINK_FIRST_RESPONSE, LINK_RESPONSES),
             ranges(foes, LINK_FIRST_FOE, LINK_FOES),
         )
-        found = find_conflicts(self.root, self.lane_rows, ways)._asdict()
-        return {name if name.startswith("wait") else f"conflict_{name}": rows for name, rows in found.items()}
+        return find_conflicts(self.root, self.lane_rows, ways)
 
     def _signals(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         programs = np.zeros((len(self.programs), 4), np.int64)
@@ -303,12 +318,12 @@ def twin_traffic(traffic: Traffic, road: RoadNet, net: TwinNet) -> TwinTraffic:
     )
     speed = np.minimum(DEPART_SPEED_MPS, road.speed_limit_mps)[traffic.approach]
     emergency = np.maximum(decel, _LEAST_EMERGENCY_DECEL_MPS2)
-    floats = np.stack([length, min_gap, tau, accel, decel, emergency, 2.0 * np.sqrt(accel * decel), speed], axis=1)
+    two_root_ab = 2.0 * np.sqrt(accel * decel)
     depart_ms = np.array([to_ms(float(f"{value:.3f}")) for value in traffic.depart_s.tolist()], np.int64)
     route = net.route_of[traffic.approach, traffic.source, traffic.exit].astype(np.int64)
-    lane = net.edge_ints[net.route_edges[route, 0], EDGE_FIRST_LANE] + traffic.depart_lane
-    fleet = _fleet_read(depart_ms, decel, min_gap)
-    return TwinTraffic(floats.reshape(-1, 8), np.stack([depart_ms, route, lane], axis=1), fleet)
+    lane = net.edges["first_lane"][net.route_edges[route, 0]] + traffic.depart_lane
+    columns = length, min_gap, tau, accel, decel, emergency, two_root_ab, speed, depart_ms, route, lane
+    return TwinTraffic(records(Driver, *columns), _fleet_read(depart_ms, decel, min_gap))
 
 
 def _fleet_read(depart_ms: np.ndarray, decel: np.ndarray, min_gap: np.ndarray) -> np.ndarray:
@@ -321,6 +336,6 @@ def _fleet_read(depart_ms: np.ndarray, decel: np.ndarray, min_gap: np.ndarray) -
         # The first vehicle that departs after that is read as well.
         count += 1 + int((depart_ms[count:] <= since_ms + _READ_AHEAD_MS).sum())
         count = min(count, len(depart_ms))
-        rows.append([decel[:count].min(), min_gap[:count].max(), since_ms])
+        rows.append((decel[:count].min(), min_gap[:count].max(), since_ms))
         since_ms = float(depart_ms[count - 1])
-    return np.array(rows, np.float64).reshape(-1, 3)
+    return np.array(rows, Fleet)

@@ -28,29 +28,9 @@ from izoo.envs.twin.lane_change.decision import DEFAULT_MODE, ROUTE_ONLY_MODE
 from izoo.envs.twin.runtime.batched_emissions import GROUP, count_classes, emit_group
 from izoo.envs.twin.runtime.handles import world_at
 from izoo.envs.twin.runtime.layout import (
-    ACCEL as TWIN_ACCEL,
-)
-from izoo.envs.twin.runtime.layout import (
-    AHEAD,
-    CHANGE_COMMAND,
-    CHANGE_MODE,
-    COMMAND,
     DRIVING,
-    FREE_SPEED,
-    LANE,
-    LANE_BACK,
-    LANE_REGION,
-    NEXT_DEPARTURE,
-    ON_ROAD,
-    POSITION,
-    SIGNALS,
-    STATUS,
-    TOP_SPEED,
     open_net,
     open_state,
-)
-from izoo.envs.twin.runtime.layout import (
-    SPEED as TWIN_SPEED,
 )
 from izoo.envs.twin.runtime.prefetch import (
     GUESTS_AT,
@@ -174,7 +154,7 @@ def _pass_on_orders(world, state, lane_change):  # type: ignore[no-untyped-def]
     _command(world.tables, state, commands, releases)
     for j in range(caps):
         number = world.tables.ints[world.tables.capped[j], NUMBER]
-        state.floats[number, TOP_SPEED] = world.tables.cap_mps[j]
+        state.vehicles[number].top_speed = world.tables.cap_mps[j]
     if lane_change:
         frame = world.frame
         _command_lanes(world.tables, state, frame.action, frame.defer, frame.lane_change)
@@ -184,9 +164,9 @@ def _pass_on_orders(world, state, lane_change):  # type: ignore[no-untyped-def]
 def _command(tables, state, commands, releases):  # type: ignore[no-untyped-def]
     """Command speeds; a vehicle keeps a command until the next one."""
     for j in range(releases):
-        state.floats[tables.ints[tables.release[j], NUMBER], COMMAND] = np.nan
+        state.vehicles[tables.ints[tables.release[j], NUMBER]].command = np.nan
     for j in range(commands):
-        state.floats[tables.ints[tables.command[j], NUMBER], COMMAND] = tables.target_mps[j]
+        state.vehicles[tables.ints[tables.command[j], NUMBER]].command = tables.target_mps[j]
 
 
 @compiled(borrows=True)
@@ -198,9 +178,9 @@ def _command_lanes(tables, state, action, defer, lane_change):  # type: ignore[n
             continue
         v = tables.ints[row, NUMBER]
         asks = defer[a] != 0 or np.isnan(action[a, 0]) or tables.acting[a] < 0
-        state.ints[v, CHANGE_MODE] = DEFAULT_MODE if asks else ROUTE_ONLY_MODE
+        state.vehicles[v].change_mode = DEFAULT_MODE if asks else ROUTE_ONLY_MODE
         if lane_change[a] != KEEP_LANE and not tables.flags[row, DEFERRED]:
-            state.ints[v, CHANGE_COMMAND] = lane_change[a] - KEEP_LANE
+            state.vehicles[v].change_command = lane_change[a] - KEEP_LANE
 
 
 @compiled(borrows=True)
@@ -218,7 +198,7 @@ def _see_off(world, state, guests):  # type: ignore[no-untyped-def]
 def _gone(tables, state, first):  # type: ignore[no-untyped-def]
     """Return the place of the first member from ``first`` on who is no longer on the road, -1 for none."""
     for j in range(first, tables.cursor[MEMBERS]):
-        if state.ints[tables.ints[tables.members[j], NUMBER], STATUS] != DRIVING:
+        if state.vehicles[tables.ints[tables.members[j], NUMBER]].status != DRIVING:
             return j
     return -1
 
@@ -228,7 +208,7 @@ def _welcome(world, state, guests):  # type: ignore[no-untyped-def]
     """Give everybody who has come to the region a row."""
     v = _newcomer(state, guests)
     while v >= 0:
-        guests.row_of[v] = admit(world, v, state.floats[v, TWIN_ACCEL], True)
+        guests.row_of[v] = admit(world, v, state.vehicles[v].accel, True)
         v = _newcomer(state, guests)
 
 
@@ -236,11 +216,11 @@ def _welcome(world, state, guests):  # type: ignore[no-untyped-def]
 def _newcomer(state, guests):  # type: ignore[no-untyped-def]
     """Return the first vehicle in the region without a row, -1 for none."""
     for k in range(guests.entry_lanes.shape[0]):
-        v = state.lanes[guests.entry_lanes[k], LANE_BACK]
+        v = state.lanes[guests.entry_lanes[k]].back
         while v >= 0:
             if guests.row_of[v] < 0:
                 return v
-            v = state.ints[v, AHEAD]
+            v = state.vehicles[v].ahead
     return -1
 
 
@@ -249,10 +229,10 @@ def _read(tables, net, state, guests):  # type: ignore[no-untyped-def]
     """Note where the members are: region lane, lane position, speed and signal bits."""
     for j in range(tables.cursor[MEMBERS]):
         v = tables.ints[tables.members[j], NUMBER]
-        guests.lane[j] = net.lane_ints[state.ints[v, LANE], LANE_REGION]
-        guests.position[j] = state.floats[v, POSITION]
-        guests.speed[j] = state.floats[v, TWIN_SPEED]
-        guests.signals[j] = state.ints[v, SIGNALS]
+        guests.lane[j] = net.lanes[state.vehicles[v].lane].region
+        guests.position[j] = state.vehicles[v].position
+        guests.speed[j] = state.vehicles[v].speed
+        guests.signals[j] = state.vehicles[v].signals
 
 
 @compiled(borrows=True)
@@ -269,7 +249,7 @@ def _conclude(world, addresses, k):  # type: ignore[no-untyped-def]
 @compiled(borrows=True)
 def everybody_left(state):  # type: ignore[no-untyped-def]
     """Whether no vehicle is on the road, waits to enter it, or is yet to depart."""
-    here = state.clock[ON_ROAD] > 0 or state.clock[NEXT_DEPARTURE] < state.ints.shape[0]
+    here = state.clock.on_road > 0 or state.clock.next_departure < state.vehicles.shape[0]
     for lane in range(state.waiting_first.shape[0]):
         here = here or state.waiting_first[lane] >= 0
     return not here
@@ -283,5 +263,5 @@ def _give_way(tables, state, step_s):  # type: ignore[no-untyped-def]
     for j in range(tables.cursor[WRONG_LANE_AGENTS]):
         row = tables.wrong_lane_agents[j]
         before = tables.floats[row, SPEED] - tables.floats[row, ACCEL] * step_s
-        wished = state.floats[tables.ints[row, NUMBER], FREE_SPEED]
+        wished = state.vehicles[tables.ints[row, NUMBER]].free_speed
         tables.flags[row, YIELDING] = (before - wished) / step_s > LANE_CHANGE_BRAKING_MPS2

@@ -19,7 +19,7 @@ from typing import Annotated, Any, get_type_hints
 
 import numpy as np
 from llvmlite import ir
-from numba import types
+from numba import from_dtype, types
 from numba.core import cgutils, errors
 from numba.core.typing import signature
 from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_global
@@ -28,6 +28,7 @@ from numba.extending import (
     lower_builtin,
     lower_getattr,
     lower_getattr_generic,
+    lower_setattr_generic,
     models,
     register_model,
 )
@@ -55,6 +56,14 @@ WORDS = 4
 _WORD = ir.IntType(64)
 
 
+class RecordType(types.Type):
+    """Numba's type of a record of a table: a reference to it, whose fields are read and written."""
+
+    def __init__(self, owner: str, field: str, kind: np.dtype, constant: bool) -> None:
+        self.owner, self.field, self.kind, self.constant = owner, field, kind, constant
+        super().__init__(name=f"Record({owner}.{field}, {constant})")
+
+
 class TableType(types.Type):
     """Numba's type of a table of one or two dimensions, or of a row of one.
 
@@ -65,32 +74,35 @@ class TableType(types.Type):
         constant: whether the elements never change.
     """
 
-    def __init__(self, owner: str, field: str, dtype: str, dimensions: int, columns: int, constant: bool) -> None:
-        self.owner, self.field, self.dtype_name = owner, field, dtype
-        self.dtype = getattr(types, dtype)
+    def __init__(self, owner: str, field: str, dtype: Any, dimensions: int, columns: int, constant: bool) -> None:
+        self.owner, self.field, self.kind = owner, field, np.dtype(dtype)
         self.dimensions, self.columns, self.constant = dimensions, columns, constant
-        super().__init__(name=f"Table({owner}.{field}: {dtype}, {dimensions}, {columns}, {constant})")
+        is_record = self.kind.names is not None
+        self.dtype = RecordType(owner, field, self.kind, constant) if is_record else from_dtype(self.kind)
+        super().__init__(name=f"Table({owner}.{field}: {self.dtype}, {dimensions}, {columns}, {constant})")
 
     @property
     def row(self) -> TableType:
         """Type of a row."""
-        return TableType(self.owner, self.field, self.dtype_name, 1, self.columns, self.constant)
+        return TableType(self.owner, self.field, self.kind, 1, self.columns, self.constant)
 
 
 class TablesType(types.Type):
     """Numba's type of a directory: which arrays, of what type, in which order."""
 
-    def __init__(self, owner: str, fields: tuple[tuple[str, str, int, int], ...], constant: bool) -> None:
+    def __init__(self, owner: str, fields: tuple[tuple[str, Any, int, int], ...], constant: bool) -> None:
         self.owner, self.fields, self.constant = owner, fields, constant
-        super().__init__(name=f"Tables({owner}: {fields}, {constant})")
+        super().__init__(name=f"Tables({owner}, {constant})")
 
     def dtype_of(self, name: str) -> np.dtype:
         """Return the type of the elements of the table ``name``."""
         return np.dtype(next(dtype for field, dtype, *_ in self.fields if field == name))
 
-    def table_type(self, name: str) -> TableType | None:
+    def table_type(self, name: str) -> TableType | RecordType | None:
         """Return the type of the table ``name``; those of three dimensions are not for compiled code."""
         for field, dtype, dimensions, columns in self.fields:
+            if field == name and dimensions == 0:
+                return RecordType(self.owner, field, dtype, self.constant)
             if field == name and dimensions < 3:
                 return TableType(self.owner, field, dtype, dimensions, columns, self.constant)
         return None
@@ -135,10 +147,17 @@ class _TablesModel(models.PrimitiveModel):  # type: ignore[misc]
         super().__init__(manager, kind, _WORD.as_pointer())
 
 
+@register_model(RecordType)
+class _RecordModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, manager: Any, kind: RecordType) -> None:
+        super().__init__(manager, kind, ir.IntType(8).as_pointer())
+
+
 @register_model(TableType)
 class _TableModel(models.StructModel):  # type: ignore[misc]
     def __init__(self, manager: Any, kind: TableType) -> None:
-        members = [("data", types.CPointer(kind.dtype)), ("rows", types.intp), ("columns", types.intp)]
+        member = types.uint8 if isinstance(kind.dtype, RecordType) else kind.dtype
+        members = [("data", types.CPointer(member)), ("rows", types.intp), ("columns", types.intp)]
         super().__init__(manager, kind, members)
 
 
@@ -146,8 +165,16 @@ class _TableModel(models.StructModel):  # type: ignore[misc]
 class _TablesAttribute(AttributeTemplate):  # type: ignore[misc]
     key = TablesType
 
-    def generic_resolve(self, kind: TablesType, name: str) -> TableType | None:  # type: ignore[override]
+    def generic_resolve(self, kind: TablesType, name: str) -> TableType | RecordType | None:  # type: ignore[override]
         return kind.table_type(name)
+
+
+@infer_getattr
+class _RecordAttribute(AttributeTemplate):  # type: ignore[misc]
+    key = RecordType
+
+    def generic_resolve(self, kind: RecordType, name: str) -> types.Type | None:  # type: ignore[override]
+        return from_dtype(kind.kind.fields[name][0]) if name in kind.kind.fields else None
 
 
 @infer_getattr
@@ -169,8 +196,10 @@ def _read_table(context: Any, builder: Any, kind: TablesType, value: Any, name: 
         load.set_metadata("invariant.load", constant)
         return load
 
+    if isinstance(table_type, RecordType):
+        return builder.inttoptr(word(0), ir.IntType(8).as_pointer())
     table = cgutils.create_struct_proxy(table_type)(context, builder)
-    table.data = builder.inttoptr(word(0), context.get_data_type(table_type.dtype).as_pointer())
+    table.data = builder.inttoptr(word(0), table.data.type)
     table.rows = word(1)
     table.columns = ir.Constant(_WORD, table_type.columns) if table_type.columns else word(2)
     return table._getvalue()
@@ -217,17 +246,22 @@ class _SetItem(AbstractTemplate):  # type: ignore[misc]
 def _place(context: Any, builder: Any, kind: TableType, value: Any, index_type: Any, index: Any) -> Any:
     """Return the pointer to an element, or to the first one of a row."""
     table = cgutils.create_struct_proxy(kind)(context, builder, value=value)
+    at = index
     if isinstance(index_type, types.UniTuple):
         row, column = cgutils.unpack_tuple(builder, index)
-        return builder.gep(table.data, [builder.add(builder.mul(row, table.columns), column)])
-    return builder.gep(table.data, [builder.mul(index, table.columns) if kind.dimensions == 2 else index])
+        at = builder.add(builder.mul(row, table.columns), column)
+    elif kind.dimensions == 2:
+        at = builder.mul(index, table.columns)
+    if isinstance(kind.dtype, RecordType):
+        at = builder.mul(at, ir.Constant(_WORD, kind.kind.itemsize))
+    return builder.gep(table.data, [at])
 
 
-def _mark(builder: Any, kind: TableType, access: Any) -> None:
-    """Tell the compiler which table is read or written: others then need not be read again."""
+def _mark(builder: Any, kind: Any, access: Any, field: str = "") -> None:
+    """Tell the compiler which table, and which field, is read or written: others then need not be read again."""
     module = builder.module
     root = module.add_metadata(["tables"])
-    own = module.add_metadata([f"{kind.owner}.{kind.field}", root, ir.Constant(_WORD, 0)])
+    own = module.add_metadata([f"{kind.owner}.{kind.field}{field}", root, ir.Constant(_WORD, 0)])
     access.set_metadata("tbaa", module.add_metadata([own, own, ir.Constant(_WORD, 0)]))
 
 
@@ -240,11 +274,34 @@ def _get(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         table = cgutils.create_struct_proxy(kind)(context, builder, value=args[0])
         row.data, row.rows, row.columns = place, table.columns, table.columns
         return row._getvalue()
+    if isinstance(sig.return_type, RecordType):
+        return place
+    return _load(builder, kind, place)
+
+
+def _load(builder: Any, kind: Any, place: Any, field: str = "") -> Any:
     load = builder.load(place)
-    _mark(builder, kind, load)
+    _mark(builder, kind, load, field)
     if kind.constant:
         load.set_metadata("invariant.load", builder.module.add_metadata([]))
     return load
+
+
+def _field_place(context: Any, builder: Any, kind: RecordType, value: Any, name: str) -> Any:
+    dtype, offset = kind.kind.fields[name][:2]
+    place = builder.gep(value, [ir.Constant(_WORD, offset)])
+    return builder.bitcast(place, context.get_data_type(from_dtype(dtype)).as_pointer())
+
+
+@lower_getattr_generic(RecordType)
+def _get_field(context: Any, builder: Any, kind: RecordType, value: Any, name: str) -> Any:
+    return _load(builder, kind, _field_place(context, builder, kind, value, name), f".{name}")
+
+
+@lower_setattr_generic(RecordType)
+def _set_field(context: Any, builder: Any, sig: Any, args: Any, name: str) -> None:
+    kind = sig.args[0]
+    _mark(builder, kind, builder.store(args[1], _field_place(context, builder, kind, args[0], name)), f".{name}")
 
 
 @lower_builtin(operator.setitem, TableType, types.Any, types.Any)
@@ -278,12 +335,14 @@ def fetch_line(typing_context, address):  # type: ignore[no-untyped-def]
 @intrinsic
 def place_of(typing_context, table):  # type: ignore[no-untyped-def]
     """Return the address of the first element of a table or an array."""
-    if not isinstance(table, TableType | types.Array):
+    if not isinstance(table, TableType | RecordType | types.Array):
         raise errors.NumbaTypeError("only tables and arrays have a place")
 
     def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        box = cgutils.create_struct_proxy(signature.args[0])(context, builder, value=args[0])
-        return builder.ptrtoint(box.data, _WORD)
+        place = args[0]
+        if not isinstance(signature.args[0], RecordType):
+            place = cgutils.create_struct_proxy(signature.args[0])(context, builder, value=place).data
+        return builder.ptrtoint(place, _WORD)
 
     return types.int64(table), lower
 

@@ -20,21 +20,10 @@ from izoo.envs.twin.runtime.batch_step import warm_up_all
 from izoo.envs.twin.runtime.compiled import directory
 from izoo.envs.twin.runtime.handles import address_of, parts_at
 from izoo.envs.twin.runtime.layout import (
-    ACCEL,
-    AHEAD,
     ARRIVED,
     DRIVING,
     DROPPED,
-    EDGE_FIRST_LANE,
-    EDGE_LANES,
-    LANE_BACK,
-    LANE_REGION,
-    LOST_TAILS,
     MAX_TAIL_LANES,
-    NEXT_DEPARTURE,
-    NOW_MS,
-    ON_ROAD,
-    STATUS,
     WAITING,
     WORKING,
 )
@@ -130,19 +119,19 @@ class TwinRun:
         """Enter everybody who is in the region when the warm-up ends, and write the first frame."""
         state, row_of = self.driving.state, self._guests.row_of
         for lane in _lanes_of(dict.fromkeys(name.rsplit("_", 1)[0] for name in road.lane_ids), names).tolist():
-            v = int(state.lanes[lane, LANE_BACK])
+            v = int(state.lanes["back"][lane])
             while v >= 0:
-                row_of[v] = self.episode.admit(v, float(state.floats[v, ACCEL]), counted=False)
-                v = int(state.ints[v, AHEAD])
-        self._early[:] = (row_of >= 0) | (state.ints[:, STATUS] == ARRIVED)
-        self._guests.begun_s[0] = state.clock[NOW_MS] / 1000.0
+                row_of[v] = self.episode.admit(v, float(state.vehicles["accel"][v]), counted=False)
+                v = int(state.vehicles["ahead"][v])
+        self._early[:] = (row_of >= 0) | (state.vehicles["status"] == ARRIVED)
+        self._guests.begun_s[0] = state.clock["now_ms"] / 1000.0
         self.episode.begin(self._reading(), float(self._guests.begun_s[0]), np.flatnonzero(self._early).tolist())
 
     def _reading(self) -> Reading:
         """Return where the members are."""
         vehicles = self.episode.tables.ints[self.episode.members, NUMBER]
         driving = self.driving
-        region = driving.net.lane_ints[driving.lane[vehicles], LANE_REGION].astype(np.int64)
+        region = driving.net.lanes["region"][driving.lane[vehicles]].astype(np.int64)
         signals = driving.signals[vehicles].astype(np.int64)
         return region, driving.position_m[vehicles], driving.speed_mps[vehicles], signals
 
@@ -150,29 +139,30 @@ class TwinRun:
         """Complete the sums at the horizon and at the end; say so where vehicles were not driven as in SUMO."""
         self.episode.end_step(self._ending, self._everybody_left)
         state = self.driving.state
-        if self.episode.over and state.clock[LOST_TAILS]:
+        if self.episode.over and state.clock["lost_tails"]:
             _log.warning(
                 "context %s: the rear of a vehicle lay on more than %d lanes, or with more than as many others on one, "
                 "%d times; there the twin forgot it. Use simulator=sumo.",
                 self.play.context.name,
                 MAX_TAIL_LANES,
-                state.clock[LOST_TAILS],
+                state.clock["lost_tails"],
             )
 
     def _everybody_left(self) -> bool:
         """Whether no vehicle is on the road, waits to enter it, or is yet to depart."""
         state = self.driving.state
-        on_road, departed = state.clock[[ON_ROAD, NEXT_DEPARTURE]]
-        return bool(on_road == 0 and departed == len(state.ints) and not (state.ints[:, STATUS] == WAITING).any())
+        status = state.vehicles["status"]
+        departed = state.clock["next_departure"] == len(status)
+        return bool(departed and not (state.clock["on_road"] or (status == WAITING).any()))
 
     def _ending(self) -> DemandAtHorizon:
         """Say what became of the demand that did not reach the region."""
         state = self.driving.state
-        status = state.ints[:, STATUS]
+        status = state.vehicles["status"]
         outside = (status == DRIVING) & (self._guests.row_of < 0)
         masks = (status == DROPPED, status == WAITING, outside, self._early)
         gone = (np.flatnonzero(mask).tolist() for mask in masks)
-        return DemandAtHorizon(range(int(state.clock[NEXT_DEPARTURE])), *gone)
+        return DemandAtHorizon(range(int(state.clock["next_departure"])), *gone)
 
     def _changing(self) -> list[np.ndarray]:
         """Return every array that changes in the course of the episode."""
@@ -221,8 +211,8 @@ class TwinRun:
 
 def _lanes_of(edges: Iterable[str], names: TwinWorld) -> np.ndarray:
     """Return the rows of the lanes of edges, int32: edge after edge, rightmost lane first."""
-    net = names.net.edge_ints
+    table = names.net.edges
     rows = {name: row for row, name in enumerate(names.edge_ids)}
-    found = [net[rows[edge], [EDGE_FIRST_LANE, EDGE_LANES]] for edge in edges]
+    found = [table[["first_lane", "lanes"]][rows[edge]] for edge in edges]
     lanes = [np.arange(first, first + count, dtype=np.int32) for first, count in found]
     return np.concatenate(lanes) if lanes else np.empty(0, np.int32)

@@ -13,16 +13,7 @@ from izoo.compiling import compiled
 from izoo.envs.mdp.state import MEMBERS
 from izoo.envs.twin.runtime.compiled import LINE_BYTES, WORDS, fetch, fetch_line, place_of
 from izoo.envs.twin.runtime.handles import world_at
-from izoo.envs.twin.runtime.layout import (
-    NEXT_DEPARTURE,
-    ON_ROAD,
-    STATE,
-    TRAFFIC,
-    VEHICLE_FLOATS,
-    VEHICLE_INTS,
-    open_state,
-    open_traffic,
-)
+from izoo.envs.twin.runtime.layout import STATE, TRAFFIC, Driver, Vehicle, open_state, open_traffic
 from izoo.envs.twin.runtime.region_view import GUESTS
 
 (WORLD_AT, NET_AT, TRAFFIC_AT, STATE_AT, GUESTS_AT, PARTS_AT, PARTS_BYTES) = range(7)
@@ -31,6 +22,7 @@ _WORD_BYTES = 8
 _STATE_BYTES, _TRAFFIC_BYTES, _GUESTS_BYTES = (
     len(kind.fields) * WORDS * _WORD_BYTES for kind in (STATE, TRAFFIC, GUESTS)
 )
+_VEHICLE_BYTES, _DRIVER_BYTES = Vehicle.itemsize, Driver.itemsize
 _STRAGGLERS = 8
 """For so many vehicles that are where they are expected, one more is asked for."""
 
@@ -123,15 +115,13 @@ def _list_driving(addresses, k, ranges):  # type: ignore[no-untyped-def]
     """List lanes, signals, and the vehicles on the road: mostly those who departed last."""
     state, traffic = open_state(addresses[k, STATE_AT]), open_traffic(addresses[k, TRAFFIC_AT])
     # These lie in one piece, see new_state.
-    _list(ranges, place_of(state.clock), place_of(state.floats) - place_of(state.clock))
-    on_road = state.clock[ON_ROAD] + state.clock[ON_ROAD] // _STRAGGLERS
-    first = max(0, state.clock[NEXT_DEPARTURE] - on_road)
-    count = state.clock[NEXT_DEPARTURE] - first
+    _list(ranges, place_of(state.clock), place_of(state.vehicles) - place_of(state.clock))
+    on_road = state.clock.on_road + state.clock.on_road // _STRAGGLERS
+    first = max(0, state.clock.next_departure - on_road)
+    count = state.clock.next_departure - first
     for place, row_bytes in (
-        (place_of(state.floats), _WORD_BYTES * VEHICLE_FLOATS),
-        (place_of(state.ints), _WORD_BYTES // 2 * VEHICLE_INTS),
-        (place_of(traffic.floats), _WORD_BYTES * traffic.floats.shape[1]),
-        (place_of(traffic.ints), _WORD_BYTES * traffic.ints.shape[1]),
+        (place_of(state.vehicles), _VEHICLE_BYTES),
+        (place_of(traffic.drivers), _DRIVER_BYTES),
     ):
         _list(ranges, place + first * row_bytes, count * row_bytes)
 

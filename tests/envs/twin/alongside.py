@@ -19,32 +19,18 @@ from izoo.envs.twin.net.best_lanes import find_variant
 from izoo.envs.twin.net.reader import twin_traffic
 from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
-    ACCEL,
     ARRIVED,
-    CONFLICT_MS,
-    DEPART_LANE,
     DRIVING,
     DROPPED,
-    ENTERED_MS,
-    JUNCTION_MS,
-    LANE,
     LANE_EDGE,
-    LANE_INSIDE,
-    LANE_TAILS,
-    LINK_CONT,
     LINK_FROM,
     MAX_TAIL_LANES,
     NEVER_MS,
-    NOW_MS,
-    ON_ROAD,
     POSITION,
-    ROUTE,
     SPEED,
-    STATUS,
     TAIL_LANES,
     VARIANT,
     WAITING,
-    WAITING_MS,
     open_net,
     open_state,
     open_traffic,
@@ -148,54 +134,54 @@ def _forget_tail(state_at, v):  # type: ignore[no-untyped-def]
     """Remove the tail of ``v`` from all lanes, whatever its own list says."""
     state = open_state(state_at)
     for lane in range(state.tails.shape[0]):
-        for j in range(state.lanes[lane, LANE_TAILS]):
+        for j in range(state.lanes[lane].tails):
             if state.tails[lane, j] == v:
-                state.lanes[lane, LANE_TAILS] -= 1
-                state.tails[lane, j] = state.tails[lane, state.lanes[lane, LANE_TAILS]]
+                state.lanes[lane].tails -= 1
+                state.tails[lane, j] = state.tails[lane, state.lanes[lane].tails]
                 break
-    state.ints[v, TAIL_LANES] = 0
+    state.vehicles[v].tail_lanes = 0
 
 
 @compiled
 def _put(net_at, traffic_at, state_at, v, lane, position, speed, tails, step_ms):  # type: ignore[no-untyped-def]
     """Put ``v`` on ``lane``, with the first ``tails`` lanes of its list behind it, as if it had driven there."""
     net, traffic, state = open_net(net_at), open_traffic(traffic_at), open_state(state_at)
-    ints, floats = state.ints, state.floats
-    before = ints[v, LANE]
+    vehicles = state.vehicles
+    before = vehicles[v].lane
     _forget_tail(state_at, v)
-    if ints[v, STATUS] == DRIVING:
+    if vehicles[v].status == DRIVING:
         remove_from_lane(state, v)
     else:
         before = lane
-        ints[v, STATUS] = DRIVING
-        if ints[v, VARIANT] < 0:
-            ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
-        state.clock[ON_ROAD] += 1
-    floats[v, ACCEL] += (speed - floats[v, SPEED]) * 1000.0 / step_ms
-    floats[v, POSITION], floats[v, SPEED] = position, speed
+        vehicles[v].status = DRIVING
+        if vehicles[v].variant < 0:
+            vehicles[v].variant = find_variant(net, state, traffic.drivers[v].route)
+        state.clock.on_road += 1
+    vehicles[v].accel += (speed - vehicles[v].speed) * 1000.0 / step_ms
+    vehicles[v].position, vehicles[v].speed = position, speed
     if speed > 0.1:
-        ints[v, WAITING_MS] = 0
+        vehicles[v].waiting_ms = 0
     insert_into_lane(state, v, lane)
     remember_downstream_occupancy(net, state, state.lane_room_before, v, lane)
     set_tail(net, traffic, state, v, tails)
-    entered_ms = state.clock[NOW_MS] - step_ms
-    if net.lane_ints[before, LANE_EDGE] == net.lane_ints[lane, LANE_EDGE]:
+    entered_ms = state.clock.now_ms - step_ms
+    if net.lanes[before].edge == net.lanes[lane].edge:
         if before != lane:
             clear_memories(state, v)
-    elif not net.lane_ints[lane, LANE_INSIDE]:
-        ints[v, ENTERED_MS] = ints[v, JUNCTION_MS] = ints[v, CONFLICT_MS] = NEVER_MS
-        ints[v, VARIANT] = find_variant(net, state, traffic.ints[v, ROUTE])
+    elif not net.lanes[lane].inside:
+        vehicles[v].entered_ms = vehicles[v].junction_ms = vehicles[v].conflict_ms = NEVER_MS
+        vehicles[v].variant = find_variant(net, state, traffic.drivers[v].route)
     else:
         waits = False
         for k in range(net.incoming_start[lane], net.incoming_start[lane + 1]):
-            waits = waits or net.link_ints[net.incoming_links[k], LINK_CONT] == 1
-        if ints[v, ENTERED_MS] == NEVER_MS:
-            ints[v, ENTERED_MS] = ints[v, JUNCTION_MS] = entered_ms
+            waits = waits or net.links[net.incoming_links[k]].cont == 1
+        if vehicles[v].entered_ms == NEVER_MS:
+            vehicles[v].entered_ms = vehicles[v].junction_ms = entered_ms
         # Before its waiting point a vehicle is not in conflict, even if the twin had it further on.
-        ints[v, CONFLICT_MS] = NEVER_MS if waits else entered_ms
-        if net.lane_ints[before, LANE_INSIDE]:
+        vehicles[v].conflict_ms = NEVER_MS if waits else entered_ms
+        if net.lanes[before].inside:
             # A vehicle that lost right of way has it again.
-            ints[v, JUNCTION_MS] = min(ints[v, JUNCTION_MS], entered_ms)
+            vehicles[v].junction_ms = min(vehicles[v].junction_ms, entered_ms)
 
 
 @compiled
@@ -204,10 +190,10 @@ def _remove(net_at, traffic_at, state_at, v, status):  # type: ignore[no-untyped
     traffic, state = open_traffic(traffic_at), open_state(state_at)
     _forget_tail(state_at, v)
     remove_from_lane(state, v)
-    state.ints[v, STATUS] = status
-    state.clock[ON_ROAD] -= 1
+    state.vehicles[v].status = status
+    state.clock.on_road -= 1
     if status == WAITING:
-        lane = traffic.ints[v, DEPART_LANE]
+        lane = traffic.drivers[v].depart_lane
         state.waiting_next[v] = state.waiting_first[lane]
         state.waiting_first[lane] = v
         if state.waiting_last[lane] < 0:
@@ -218,7 +204,7 @@ def _remove(net_at, traffic_at, state_at, v, status):  # type: ignore[no-untyped
 def _leave_queue(traffic_at, state_at, v):  # type: ignore[no-untyped-def]
     """Remove ``v`` from the vehicles that wait to enter."""
     traffic, state = open_traffic(traffic_at), open_state(state_at)
-    lane, before = traffic.ints[v, DEPART_LANE], -1
+    lane, before = traffic.drivers[v].depart_lane, -1
     w = state.waiting_first[lane]
     while w >= 0 and w != v:
         before, w = w, state.waiting_next[w]
