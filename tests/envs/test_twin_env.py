@@ -13,7 +13,7 @@ from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import EMIT_GROUPS
 from izoo.envs.twin import backend
 from izoo.envs.twin.net.reader import twin_traffic
-from izoo.envs.twin.runtime.layout import ARRIVED, LOST_TAILS
+from izoo.envs.twin.runtime.layout import ARRIVED
 from izoo.envs.twin.runtime.simulation import TwinEpisode
 from izoo.errors import IzooError
 from izoo.networks.road import read_road
@@ -147,13 +147,13 @@ def test_tails_that_do_not_fit_the_tables_are_counted(tmp_path: Path, way: str, 
     episode = TwinEpisode(case.world.net, twin_traffic(case.traffic, read_road(net), case.world.net))
     for _ in range(60):
         episode.step()
-    assert (episode.status == ARRIVED).all() and (episode.state.clock[LOST_TAILS] > 0) == lost
+    assert (episode.status == ARRIVED).all() and (episode.state.clock["lost_tails"] > 0) == lost
 
 
 def test_lost_tails_are_reported(make_twin: MakeTwin, caplog: pytest.LogCaptureFixture) -> None:
     env = make_twin(2)
     state = env.reset()
-    env.backend._runs[1].driving.state.clock[LOST_TAILS] = 3
+    env.backend._runs[1].driving.state.clock["lost_tails"] = 3
     for _ in range(env.config.control_steps):
         _, state = env.step_and_maybe_reset(steer(state))
     assert [record.getMessage().count("3 times; there the twin forgot it") for record in caplog.records] == [1]

@@ -22,14 +22,8 @@ from izoo.envs.twin.runtime.layout import (
     ARRIVED,
     DRIVING,
     DROPPED,
-    LANE_EDGE,
-    LINK_FROM,
     MAX_TAIL_LANES,
     NEVER_MS,
-    POSITION,
-    SPEED,
-    TAIL_LANES,
-    VARIANT,
     WAITING,
     open_net,
     open_state,
@@ -65,10 +59,10 @@ def differences(case: Case, sumo: Trace) -> Iterator[Difference]:
     """Play ``case`` on the twin along SUMO's trace and yield the vehicles that differ, step by step."""
     net = case.world.net
     episode = TwinEpisode(net, twin_traffic(case.traffic, read_road(case.net_path), net), case.step_ms)
-    edges = net.lane_ints[:, LANE_EDGE]
+    edges = net.lanes["edge"]
     passed: list[list[int]] = [[] for _ in range(len(case.traffic))]
     for t in range(len(sumo.lane)):
-        variants = episode.state.ints[:, VARIANT].copy()
+        variants = episode.state.vehicles["variant"].copy()
         episode.step()
         found = []
         for v in np.flatnonzero((sumo.lane[t] >= 0) | (episode.status == DRIVING)).tolist():
@@ -84,14 +78,15 @@ def differences(case: Case, sumo: Trace) -> Iterator[Difference]:
             if theirs.lane == ours.lane and off <= TOLERANCE:
                 # Rounding errors are removed: they could put an advised speed out of the range of braking.
                 if off > ROUNDING:
-                    episode.state.floats[v, [POSITION, SPEED]] = theirs[1:]
+                    vehicle = episode.state.vehicles[v]
+                    vehicle["position"], vehicle["speed"] = theirs[1:]
             else:
                 found.append(Difference(t, v, theirs, ours))
         for difference in found:
             _correct(episode, difference, passed[difference.vehicle], sumo)
             v, before = difference.vehicle, sumo.lane[t - 1, difference.vehicle] if t else -1
             if before >= 0 and edges[before] == edges[difference.sumo.lane]:
-                episode.state.ints[v, VARIANT] = variants[v]
+                episode.state.vehicles["variant"][v] = variants[v]
         yield from found
 
 
@@ -106,7 +101,7 @@ def _correct(episode: TwinEpisode, difference: Difference, passed: list[int], su
     if episode.status[v] == WAITING:
         _leave_queue(*episode.addresses[1:], v)
     state = episode.state
-    tails = int(state.ints[v, TAIL_LANES]) if theirs.lane == ours.lane else -1
+    tails = int(state.vehicles["tail_lanes"][v]) if theirs.lane == ours.lane else -1
     if tails < 0:
         _forget_tail(*episode.addresses[2:], v)
         behind = _lanes_behind(episode, theirs.lane, passed)
@@ -118,10 +113,10 @@ def _correct(episode: TwinEpisode, difference: Difference, passed: list[int], su
 def _lanes_behind(episode: TwinEpisode, lane: int, passed: list[int]) -> list[int]:
     """Return the lanes that lead to ``lane``, on the edges that were passed, nearest first."""
     net, found = episode.net, []
-    edges = net.lane_ints[:, LANE_EDGE]
+    edges = net.lanes["edge"]
     for before in reversed(passed[:-1]):
         links = net.incoming_links[net.incoming_start[lane] : net.incoming_start[lane + 1]]
-        lanes = [k for k in net.link_ints[links, LINK_FROM].tolist() if edges[k] == edges[before]]
+        lanes = [k for k in net.links["from_lane"][links].tolist() if edges[k] == edges[before]]
         if not lanes or len(found) == MAX_TAIL_LANES:
             break
         lane = before if before in lanes else lanes[0]

@@ -13,7 +13,7 @@ from izoo.contexts.source import ContextList
 from izoo.envs.sumo.session import import_libsumo, sumo_arguments
 from izoo.envs.twin.driving.traffic_lights import is_major
 from izoo.envs.twin.net.reader import read_twin_world, twin_traffic
-from izoo.envs.twin.runtime.layout import LANE_INSIDE, LINK_NEXT, TwinNet
+from izoo.envs.twin.runtime.layout import TwinNet
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 from izoo.traffic.sampling import sample_traffic, write_routes
@@ -23,10 +23,10 @@ SEED, STEPS = 3, 240
 
 def continuation(net: TwinNet, variant: int, lane: int) -> list[int]:
     """Lanes on the best way from ``lane``, inside lanes left out."""
-    lanes = [] if net.lane_ints[lane, LANE_INSIDE] else [lane]
-    while net.best_link[variant, lane] >= 0:
-        lane = int(net.link_ints[net.best_link[variant, lane], LINK_NEXT])
-        if not net.lane_ints[lane, LANE_INSIDE]:
+    lanes = [] if net.lanes["inside"][lane] else [lane]
+    while (link := net.best["link"][variant, lane]) >= 0:
+        lane = int(net.links["next_lane"][link])
+        if not net.lanes["inside"][lane]:
             lanes.append(lane)
     return lanes
 
@@ -39,7 +39,7 @@ def assert_best_lanes_equal(context: Context, folder: Path) -> int:
         world = read_twin_world(road, path)
         net, row = world.net, {name: k for k, name in enumerate(world.lane_ids)}
         traffic = sample_traffic(context, road, SEED, STEPS * 0.5)
-        route = twin_traffic(traffic, road, net).ints[:, 1]
+        route = twin_traffic(traffic, road, net).drivers["route"]
         write_routes(traffic, road, folder / "traffic.rou.xml")
         libsumo.start(["sumo", *sumo_arguments(path, folder / "traffic.rou.xml", SEED, 0.5)])
         compared = 0
@@ -47,15 +47,15 @@ def assert_best_lanes_equal(context: Context, folder: Path) -> int:
             libsumo.simulationStep()
             for name in libsumo.vehicle.getIDList() if step % 8 == 0 else ():
                 lane = row[libsumo.vehicle.getLaneID(name)]
-                if net.lane_ints[lane, LANE_INSIDE]:
+                if net.lanes["inside"][lane]:
                     continue
                 reported = libsumo.vehicle.getBestLanes(name)
-                first = net.variant_first[route[int(name)]]
-                variants = range(first, first + net.variant_count[route[int(name)]])
+                first, count = net.routes[["first_variant", "variants"]][route[int(name)]]
+                variants = range(first, first + count)
                 lanes = [row[best[0]] for best in reported]
                 found = [
-                    np.allclose(net.best_length[x, lanes], [best[1] for best in reported])
-                    and net.best_offset[x, lanes].tolist() == [best[3] for best in reported]
+                    np.allclose(net.best["length"][x, lanes], [best[1] for best in reported])
+                    and net.best["offset"][x, lanes].tolist() == [best[3] for best in reported]
                     and [continuation(net, x, k) for k in lanes] == [[row[k] for k in best[5]] for best in reported]
                     for x in variants
                 ]

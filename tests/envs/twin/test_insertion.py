@@ -13,7 +13,7 @@ import pytest
 from izoo.benchmarks.fidelity.single_vehicle import Case, play_sumo
 from izoo.envs.sumo.session import SumoSession, import_libsumo, sumo_arguments
 from izoo.envs.twin.net.reader import twin_traffic
-from izoo.envs.twin.runtime.layout import DROPPED, FLEET_DECEL, FLEET_FROM_MS, FLEET_MIN_GAP
+from izoo.envs.twin.runtime.layout import DROPPED
 from izoo.envs.twin.runtime.simulation import TwinEpisode
 from izoo.networks.road import read_road
 from izoo.traffic.sampling import write_routes
@@ -99,8 +99,8 @@ def test_the_route_file_is_read_in_portions() -> None:
             session.advance()
             # SUMO has three types of its own, whose names begin with DEFAULT.
             names = [name for name in libsumo.vehicletype.getIDList() if not name.startswith("DEFAULT")]
-            row = fleet[fleet[:, FLEET_FROM_MS] <= 500.0 * step][-1]
-            assert row[FLEET_DECEL] == min(map(libsumo.vehicletype.getDecel, names)), step
-            assert row[FLEET_MIN_GAP] == max(map(libsumo.vehicletype.getMinGap, names)), step
+            row = fleet[fleet["from_ms"] <= 500.0 * step][-1]
+            assert row["decel"] == min(map(libsumo.vehicletype.getDecel, names)), step
+            assert row["min_gap"] == max(map(libsumo.vehicletype.getMinGap, names)), step
         session.close()
-    assert len(fleet) > 3 and len(np.unique(fleet[:, FLEET_MIN_GAP])) > 1
+    assert len(fleet) > 3 and len(np.unique(fleet["min_gap"])) > 1

@@ -12,16 +12,9 @@ from izoo.contexts.source import ContextList
 from izoo.envs.sumo.session import SumoSession, import_libsumo, sumo_arguments
 from izoo.envs.twin.junction.foes import id_sorts_before
 from izoo.envs.twin.net.conflicts import (
-    CONFLICT_FOE_TO_END,
-    CONFLICT_FOE_YIELDS,
-    CONFLICT_LANE,
-    CONFLICT_SIZE,
-    CONFLICT_TO_END,
-    CONFLICT_YIELDS,
     NOWHERE,
 )
 from izoo.envs.twin.net.reader import TwinWorld, read_twin_world
-from izoo.envs.twin.runtime.layout import LANE_LENGTH, LINK_ENTRY, LINK_FROM, LINK_VIA
 from izoo.networks.road import read_road
 from tests.envs.twin.crossroads import build_crossroads
 
@@ -69,26 +62,25 @@ def distances_of_twin(world: TwinWorld) -> dict[Pair, Place]:
     """Return the same from the twin's tables."""
     net = world.net
     found: dict[Pair, Place] = {}
-    for link in range(len(net.link_ints)):
-        first = net.conflict_first[link]
-        for row in range(first, first + net.conflict_count[link]):
-            own, foe = int(net.link_ints[link, LINK_FROM]), int(net.conflict_ints[row, CONFLICT_LANE])
+    for link in range(len(net.links)):
+        first, count = net.links[["first_conflict", "conflicts"]][link]
+        for conflict in net.conflicts[first : first + count]:
+            own, foe = int(net.links["from_lane"][link]), int(conflict["lane"])
             before = [
-                float(net.lane_floats[via, LANE_LENGTH]) if via != lane else 0.0
+                float(net.lanes["length"][via]) if via != lane else 0.0
                 for lane, via in (
-                    (own, net.link_ints[net.link_ints[link, LINK_ENTRY], LINK_VIA]),
-                    (foe, net.link_ints[net.conflict_ints[row, 1], LINK_VIA]),
+                    (own, net.links["via_lane"][net.links["entry"][link]]),
+                    (foe, net.links["via_lane"][conflict["entry"]]),
                 )
             ]
-            floats, ints = net.conflict_floats[row], net.conflict_ints[row]
-            if floats[CONFLICT_TO_END] == 0.0 and floats[CONFLICT_FOE_TO_END] == NOWHERE:
+            if conflict["to_end"] == 0.0 and conflict["foe_to_end"] == NOWHERE:
                 continue  # No place: a vehicle before its waiting point that will merge.
             found[world.lane_ids[own], world.lane_ids[foe]] = (
-                before[0] + float(net.lane_floats[own, LANE_LENGTH] - floats[CONFLICT_TO_END]),
-                float(floats[CONFLICT_SIZE]),
-                before[1] + float(net.lane_floats[foe, LANE_LENGTH] - floats[CONFLICT_FOE_TO_END]),
-                bool(ints[CONFLICT_YIELDS]),
-                bool(ints[CONFLICT_FOE_YIELDS]),
+                before[0] + float(net.lanes["length"][own] - conflict["to_end"]),
+                float(conflict["size"]),
+                before[1] + float(net.lanes["length"][foe] - conflict["foe_to_end"]),
+                bool(conflict["yields"]),
+                bool(conflict["foe_yields"]),
             )
     return found
 

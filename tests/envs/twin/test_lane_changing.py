@@ -9,7 +9,6 @@ import pytest
 
 from izoo.benchmarks.fidelity.single_vehicle import Case
 from izoo.contexts.procedural import procedural_context
-from izoo.envs.twin.runtime.layout import LANE_EDGE, LANE_INSIDE
 from tests.envs.twin.crossroads import assert_same, build_crossroads, meeting
 
 pytestmark = pytest.mark.slow
@@ -32,8 +31,8 @@ def test_whole_episodes(features: dict[str, Any]) -> None:
     case = Case.of(procedural_context(adoption=0.5, **features), 7, 300.0)
     lane = assert_same(case, 600).lane
     before, after, net = lane[:-1], lane[1:], case.world.net
-    same_edge = net.lane_ints[before, LANE_EDGE] == net.lane_ints[after, LANE_EDGE]
-    outside = net.lane_ints[after, LANE_INSIDE] == 0
+    same_edge = net.lanes["edge"][before] == net.lanes["edge"][after]
+    outside = net.lanes["inside"][after] == 0
     changes = (before >= 0) & (after >= 0) & (before != after) & same_edge & outside
     assert changes.sum() > 20, "too few lane changes to tell"
 

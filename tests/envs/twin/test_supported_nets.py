@@ -13,7 +13,6 @@ from izoo.contexts.catalogue import Scenario, build
 from izoo.contexts.procedural import SYSTEMATICITY_TRAIN
 from izoo.contexts.source import ContextList
 from izoo.envs.twin.net.reader import read_twin_world
-from izoo.envs.twin.runtime.layout import PROGRAM_CYCLE_MS, PROGRAM_OFFSET_MS
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
@@ -75,10 +74,10 @@ def test_the_last_program_of_a_signal_is_played(tmp_path: Path) -> None:
     path = _written(tmp_path, text.replace(program, f"{program}\n{other}"))
     road = read_road(path)
     world = read_twin_world(road, path)
-    assert len(world.program_ids) == len(world.net.program_ints) == len(set(world.program_ids))
-    main = world.net.program_ints[world.program_ids.index("TL")]
-    assert main[PROGRAM_CYCLE_MS] == 1000 * road.clock.cycle_s
-    assert main[PROGRAM_OFFSET_MS] == 1000 * road.clock.offset_s
+    assert len(world.program_ids) == len(world.net.programs) == len(set(world.program_ids))
+    main = world.net.programs[world.program_ids.index("TL")]
+    assert main["cycle_ms"] == 1000 * road.clock.cycle_s
+    assert main["offset_ms"] == 1000 * road.clock.offset_s
     case = Case(world, path, sample_traffic(context, road, 3, 120.0), 3)
     assert (assert_same(case, 300).lane >= 0).sum() > 500
 
