@@ -24,6 +24,7 @@ COMMAND = OptionCommand(
     ),
     config="izoo.conf.train_options:CollectConfig",
     work="izoo.training.offline:collect",
+    defaults="izoo.cli.defaults:of_policies",
 )
 main = COMMAND.main
 

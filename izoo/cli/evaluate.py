@@ -45,14 +45,8 @@ class Subject:
     train_seed: int = 0
 
 
-def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Path:
-    """Evaluate as ``config`` says, print the summary, and return the results folder.
-
-    Args:
-        config: the options.
-        given: the options that were written; what the others are instead, :func:`defaults` says.
-    """
-    del given
+def evaluate(config: EvaluateConfig) -> Path:
+    """Evaluate as ``config`` says, print the summary, and return the results folder."""
     subject = resolve(config)
     source = subject.contexts.build()
     if config.task is None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,7 @@ from torchrl.envs.utils import ExplorationType
 
 from izoo import zoo
 from izoo.algos.drivers.random import RandomDriver
-from izoo.conf.mapping import with_given
-from izoo.conf.train_options import TWIN_ENVS, CollectConfig
+from izoo.conf.train_options import CollectConfig
 from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
 from izoo.contexts.source import RandomSchedule
 from izoo.envs import make, simulator_of
@@ -31,7 +29,7 @@ from izoo.training.shard_writer import MANIFEST, ShardWriter
 FRAMES_PER_BATCH = 1000
 
 
-def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
+def collect(config: CollectConfig) -> Path:
     """Step environments with a policy and store every step.
 
     The folder holds ``shard-00000``, ... and ``manifest.json``, which lists the finished shards and is replaced whole
@@ -40,7 +38,6 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
 
     Args:
         config: the options.
-        given: names of the options that were written on the command line; matters where a policy ships with its own.
 
     Returns:
         The folder.
@@ -53,15 +50,11 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
     if config.out is None:
         raise IzooError("out is missing; name a new folder for the data: out=DIR.")
     out = Path(config.out)
-    shipped = zoo.named(config.policy)
-    if shipped:
-        env = with_given(zoo.load(shipped).env, config.env, given, "env")
-        config = dataclasses.replace(config, env=env)
     policy = make_policy(config)
     source = config.contexts.build()
     with claimed_empty(out, "out"):
         collector = _make_collector(config, policy, RandomSchedule(source, config.seed))
-        writer = ShardWriter(config, out, _environments(config))
+        writer = ShardWriter(config, out)
         try:
             with graceful_interrupt() as interrupt, Progress(config.frames) as bar:
                 for batch in collector:
@@ -111,15 +104,7 @@ def _make_env(config: CollectConfig, schedule: RandomSchedule) -> EcoDrivingBase
         options = {"threads": config.twin.threads, "surrogate": config.twin.surrogate}
         if config.twin.surrogate == "cuda":
             check_gpu("twin.surrogate", "torch")
-    count = _environments(config)
-    return make(config.simulator, count, schedule, config.env, seed=config.seed, shard=0, **options)
-
-
-def _environments(config: CollectConfig) -> int:
-    """Return how many environments step together."""
-    if not simulator_of(config.simulator).batched:
-        return config.num_workers
-    return TWIN_ENVS if config.num_envs is None else config.num_envs
+    return make(config.simulator, config.environments, schedule, config.env, seed=config.seed, shard=0, **options)
 
 
 def make_policy(config: CollectConfig) -> Policy:

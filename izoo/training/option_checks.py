@@ -8,7 +8,6 @@ from izoo.envs.config import SPEED, STEP
 from izoo.errors import IzooError
 from izoo.gpu import check_gpu
 from izoo.results import ray_cluster
-from izoo.training.batch_size import num_envs
 
 
 def check_options(config: TrainConfig) -> None:
@@ -28,7 +27,7 @@ def check_options(config: TrainConfig) -> None:
     if simulator.batched and config.twin.surrogate == "cuda":
         check_gpu("twin.surrogate", "torch")
     _check_decisions(config)
-    policies, envs = config.algo.candidates, num_envs(config)
+    policies, envs = config.algo.candidates, config.environments
     if policies > 1 and (not simulator.batched or envs % policies or config.env.reward.eta != 1.0):
         raise IzooError(
             f"algo={config.algo.name} lets {policies} policies play the same episodes side by side and compares "

@@ -18,12 +18,10 @@ import torch
 
 from izoo import files, train
 from izoo.conf.train_options import TrainConfig
-from izoo.console import exit_code
-from izoo.errors import IzooError, UnfinishedError
+from izoo.errors import IzooError
 from izoo.training import checkpoint, loggers, run_folder, run_state
 from izoo.training.learner import Learner, is_finite
 from izoo.training.watchdog import StepWatch, open_counts
-from tests.test_console import LOST
 from tests.training.toy import TOY
 
 
@@ -171,22 +169,6 @@ def test_a_run_folder_that_is_removed_does_not_come_back(
     assert not run_dir.exists()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("how", LOST)
-def test_a_run_that_loses_its_output_trains_on(how: str, tmp_path: Path) -> None:
-    run_dir = tmp_path / "run"
-    words = ["-m", "izoo.train", *TOY, "total_frames=400", f"run_dir={run_dir}"]
-    with (
-        LOST[how]() as (output, lose),
-        subprocess.Popen([sys.executable, *words], stdout=output, stderr=output, start_new_session=True) as process,
-    ):
-        while not checkpoint.folder_of(run_dir).exists() and process.poll() is None:
-            time.sleep(0.05)
-        lose()
-        assert process.wait(200) == 0
-    assert frames_in(run_dir)[-1] == 400 == checkpoint.load(checkpoint.find(run_dir))["frames"]
-
-
 class Logger:
     """A logger that takes so many numbers and then fails, also at its end."""
 
@@ -211,39 +193,6 @@ def test_a_logger_that_fails_is_done_without(capsys: pytest.CaptureFixture[str])
     loggers.close_all(sinks)
     assert sinks == [good] and good.takes == 92
     assert capsys.readouterr().err.count("Logger has failed (Connection lost); the run goes on without it.") == 2
-
-
-KILL_HELPER = """
-import os, signal, sys
-from pathlib import Path
-from izoo import train
-from izoo.training.learner import Learner
-
-real, killed = Learner.update, []
-
-def update(self, batch, progress):
-    children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
-    for pid in children if progress > 0 else ():
-        if b"wandb-core" in Path(f"/proc/{pid}/cmdline").read_bytes():
-            os.kill(int(pid), signal.SIGKILL)
-            killed.append(pid)
-    return real(self, batch, progress)
-
-Learner.update = update
-code = train.main(sys.argv[1:])
-sys.exit(code if killed else 9)
-"""
-
-
-@pytest.mark.slow
-def test_a_run_whose_helper_of_wandb_is_killed_goes_on(tmp_path: Path) -> None:
-    run_dir = tmp_path / "run"
-    words = [*TOY, "total_frames=400", "logger=wandb", f"run_dir={run_dir}"]
-    command = [sys.executable, "-c", KILL_HELPER, *words]
-    environment = {**os.environ, "WANDB_MODE": "offline"}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=200, env=environment)
-    assert done.returncode == 0 and "WandbLogger has failed" in done.stderr
-    assert frames_in(run_dir)[-1] == 400
 
 
 def test_processes_that_take_no_step_are_ended_while_their_batch_is_awaited() -> None:
@@ -300,11 +249,3 @@ def test_a_stopped_process_ends_a_multisync_run_in_the_time_of_the_watchdog(tmp_
     finally:
         process.kill()
         process.wait()
-
-
-def test_unfinished_work_is_one_sentence_and_exit_code_1(capsys: pytest.CaptureFixture[str]) -> None:
-    def work() -> int:
-        raise UnfinishedError("the disk is full; make room.")
-
-    assert exit_code("train", work) == 1
-    assert capsys.readouterr().err == "izoo train: the disk is full; make room.\n"

@@ -23,7 +23,7 @@ from izoo.envs.config import EnvConfig
 from izoo.envs.env import EcoDrivingBase
 from izoo.envs.mdp.frame import TOTALS
 from izoo.errors import IzooError
-from izoo.training import checkpoint, loop, run_folder
+from izoo.training import checkpoint, run_folder
 from izoo.training.command_replay import EpisodeHistories, EpisodeHistory
 from izoo.training.environments import TrainingEnv, training_class
 from tests.training import toy
@@ -129,10 +129,9 @@ def test_an_option_that_is_changed_leaves_the_others_of_its_group_as_they_were(t
     ]
     stored = compose_config(TrainConfig, words)
     run_folder.write_config(tmp_path, stored)
-    given = [f"resume={tmp_path}", "twin.threads=1", "validation.every_batches=2", "num_envs=5", "collector=parallel"]
-    names = frozenset(word.partition("=")[0] for word in given)
-    found, state, _ = loop._resumed(compose_config(TrainConfig, given), names, tmp_path)
-    assert state is None and found == run_folder.read_config(tmp_path)
+    changed = ["twin.threads=1", "validation.every_batches=2", "num_envs=5", "collector=parallel"]
+    found = train.COMMAND.compose([f"resume={tmp_path}", *changed])
+    assert (found.resume, found.run_dir) == (str(tmp_path), str(tmp_path))
     assert found.twin == dataclasses.replace(stored.twin, threads=1)
     assert (found.validation.every_batches, found.validation.contexts, found.num_envs) == (2, 3, 5)
 

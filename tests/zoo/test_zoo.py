@@ -15,9 +15,9 @@ from izoo import collect, evaluate, train, zoo
 from izoo.algos.actions.action_modes import AdviseAction
 from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
+from izoo.benchmarks import twin
 from izoo.benchmarks.campaign.experiment import read_experiment
 from izoo.benchmarks.campaign.jobs import Machine, PartRun
-from izoo.benchmarks.twin import FidelityConfig, env_of
 from izoo.cli.compose import compose_config
 from izoo.cli.zoo import ZOO, _changed
 from izoo.conf.train_options import TrainConfig
@@ -246,8 +246,7 @@ def test_an_exported_policy_is_an_entry_of_the_benchmarks(
     assert own.hold_s == 2.0 != run.env("human").hold_s and own.horizon_s == run.task.env.horizon_s
     named = as_policy(str(exported), own, "mine")
     assert named.record.weights == weights_hash(zoo.load(str(exported)).policy)
-    everybody = env_of(FidelityConfig(policies=("glide", str(exported))), frozenset())
-    assert everybody == zoo.read(exported).env
+    assert twin.COMMAND.compose([f"policies=[glide,'{exported}']"]).env == zoo.read(exported).env
 
 
 @pytest.mark.slow
