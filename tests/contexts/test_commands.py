@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import sys
@@ -119,7 +118,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(few, town, tmp_path, capsy
         (["draw", "paris", png], "san_francisco"),
         (["draw", "atlanta", str(tmp_path / "out.pdf")], "must end in .png"),
         (["draw", "atlanta", "/dev/null/out.png"], "/dev/null"),
-        (["compare", "--city", "atlanta", "--csv", "/dev/null/out.csv"], "/dev/null/out.csv"),
+        (["compare", "--city", "atlanta", "--png", "/dev/null/out.png"], "/dev/null/out.png"),
         (["try", str(town), "--city", "atlanta"], "--city"),
         (["try", "--count", "0"], "--count is 0"),
         (["try", "--horizon-s", "10"], "horizon"),
@@ -135,12 +134,8 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(few, town, tmp_path, capsy
 
 
 def test_try_cities_plays_in_all_of_them(capsys):
-    before = os.environ.get("IZOO_CACHE_DIR")
     assert main(["try", "--count", "3", "--horizon-s", "60"]) == 0
-    out = capsys.readouterr().out
-    assert "3 intersections, 6 episodes, 0 failures" in out
-    assert "nets built in" in out
-    assert os.environ.get("IZOO_CACHE_DIR") == before
+    assert "3 intersections, 6 episodes, 0 failures" in capsys.readouterr().out
 
 
 def test_try_plays_towns_and_names_what_fails(town, monkeypatch, capsys):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -65,16 +64,6 @@ def format_distances(tables: Mapping[str, np.ndarray]) -> str:
         cells = [f"{value:.3f}".rjust(len(name)) for name, value in total_variation(table, city).items()]
         lines.append("  ".join([city.ljust(width), *cells]))
     return "\n".join(lines)
-
-
-def write_csv(tables: Mapping[str, np.ndarray], path: Path) -> None:
-    """Write one line per city and feature."""
-    with replacing(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["city", "feature", "approaches", "total_variation"])
-        for city, table in tables.items():
-            for name, value in total_variation(table, city).items():
-                writer.writerow([city, name, len(table), f"{value:.5f}"])
 
 
 def write_png(tables: Mapping[str, np.ndarray], path: Path) -> None:
