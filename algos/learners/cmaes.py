@@ -26,6 +26,7 @@ from izoo.algos.actions.action_modes import AdviseAction, PointMass
 from izoo.algos.learners import base
 from izoo.algos.learners.registry import ON_TWIN, AlgoConfig
 from izoo.algos.losses.masked_gae import TEAM_REWARD
+from izoo.envs import COMPILED
 from izoo.envs.config import BY_STEP
 from izoo.envs.mdp.reward import RewardConfig
 from izoo.errors import IzooError, check_range, check_types
@@ -71,7 +72,7 @@ class CMAESConfig(AlgoConfig):
             },
             "num_envs": 256,
             "total_frames": 1_990_000,
-            "validation": {"every_batches": 4, "contexts": 16, "seeds": 3, "simulator": "twin"},
+            "validation": {"every_batches": 4, "contexts": 16, "seeds": 3, "simulator": COMPILED},
         }
     }
 

@@ -305,6 +305,7 @@ class DDPG:
 
     options: type[AlgoConfig] = DDPGConfig
     critic_name = "value"
+    gradient_steps = 0
     """What TorchRL's loss calls its critics."""
 
     def __init__(
@@ -351,9 +352,10 @@ class DDPG:
         self.critic = self.make_critic(features, low, high)
         return MaskedDDPGLoss(self.actor, self.critic, loss_function=self.config.value_loss, gamma=self.config.gamma)
 
-    def moves_actor(self) -> bool:
-        """Whether this gradient step moves the actor and the target networks, too; asked once in each."""
-        return True
+    @property
+    def policy_delay(self) -> int:
+        """Gradient steps of the critic for each one of the actor and of the target networks."""
+        return 1
 
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
         """Store a batch ``[N, T]`` and learn from the replay; see :class:`izoo.algos.learners.base.Algorithm`."""
@@ -379,7 +381,9 @@ class DDPG:
         """Move the networks, then their targets, by one minibatch of transitions; returns what to log."""
         losses = self.loss(minibatch)
         self.optimiser.zero_grad()
-        parts, moved, moves_actor = {"loss_value": losses[f"loss_{self.critic_name}"]}, ["critic"], self.moves_actor()
+        self.gradient_steps += 1
+        moves_actor = self.gradient_steps % self.policy_delay == 0
+        parts, moved = {"loss_value": losses[f"loss_{self.critic_name}"]}, ["critic"]
         if moves_actor:
             output = self.actor.module[0](minibatch.get(base.OBSERVATION))
             distance = (output - self.untrained_output).square().mean()

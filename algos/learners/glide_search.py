@@ -28,6 +28,7 @@ from izoo.algos.learners import base
 from izoo.algos.learners.cmaes import CMAES, CMAESConfig, own_numbers
 from izoo.algos.learners.registry import ON_TWIN
 from izoo.contexts.features import feature
+from izoo.envs import COMPILED
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, BY_STEP, EnvConfig
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M, TIME_SCALE_S
 from izoo.envs.mdp.reward import RewardConfig
@@ -72,7 +73,7 @@ class GlideSearchConfig(CMAESConfig):
             "twin": {"surrogate": "compiled", "compare_every": 0, "stagger": False},
             "num_envs": 512,
             "total_frames": 3_072_000,
-            "validation": {"every_batches": 5, "contexts": 48, "seeds": 3, "simulator": "twin"},
+            "validation": {"every_batches": 5, "contexts": 48, "seeds": 3, "simulator": COMPILED},
             "evaluation": {"contexts": 16, "seeds": 3},
         }
     }

@@ -22,6 +22,7 @@ from izoo.algos.learners.registry import ON_TWIN, AlgoConfig
 from izoo.algos.losses import MaskedPPOLoss
 from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.algos.networks.gaussian import CompiledPolicy, SamplingPolicy, normal_parameters, tanh_normal
+from izoo.envs import REFERENCE
 from izoo.envs.config import BY_STEP, RewardConfig
 from izoo.errors import IzooError, check_range, check_types
 
@@ -157,7 +158,7 @@ class PPOConfig(AlgoConfig):
             "env": {**BY_STEP, "hold_s": 2.0, "reward": RewardConfig()},
             "num_envs": 32,
             "total_frames": 96_000,
-            "validation": {"every_batches": 2, "contexts": 6, "seeds": 3, "simulator": "sumo"},
+            "validation": {"every_batches": 2, "contexts": 6, "seeds": 3, "simulator": REFERENCE},
         },
     }
 

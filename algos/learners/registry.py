@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from izoo.envs import COMPILED
 from izoo.errors import IzooError, unknown_choice
 from izoo.imports import imported
 
@@ -27,7 +28,7 @@ DRIVER_NAMES = ("human", "uncommanded", "constant", "constant_2.0", "random", "g
 :func:`cap_share`."""
 CAP = "cap_"
 
-ON_TWIN: Mapping[str, Any] = {"simulator": "twin", "twin": {"surrogate": "compiled"}}
+ON_TWIN: Mapping[str, Any] = {"simulator": COMPILED, "twin": {"surrogate": "compiled"}}
 """Options of a run that plays on the twin."""
 
 

@@ -48,7 +48,6 @@ class TD3(DDPG):
     options = TD3Config
     config: TD3Config
     critic_name = "qvalue"
-    gradient_steps = 0
 
     def make_loss(self, features: int, low: float, high: float) -> MaskedTD3Loss:
         """Return the loss of ``actor`` and two critics of its own."""
@@ -63,10 +62,10 @@ class TD3(DDPG):
             gamma=config.gamma,
         )
 
-    def moves_actor(self) -> bool:
-        """Whether it is this gradient step's turn to move the actor and the targets."""
-        self.gradient_steps += 1
-        return self.gradient_steps % self.config.policy_delay == 0
+    @property
+    def policy_delay(self) -> int:
+        """Gradient steps of the critics for each one of the actor and of the target networks."""
+        return self.config.policy_delay
 
     def state_dict(self) -> dict[str, Any]:
         """Return what DDPG does, and how many gradient steps were made."""
