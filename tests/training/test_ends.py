@@ -17,11 +17,9 @@ import pytest
 import torch
 
 from izoo import files, train
-from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from izoo.training import checkpoint, loggers, run_folder, run_state
 from izoo.training.learner import Learner, is_finite
-from izoo.training.watchdog import StepWatch, open_counts
 from tests.training.toy import TOY
 
 
@@ -52,17 +50,6 @@ def test_a_run_is_trained_by_one_process_at_a_time(tmp_path: Path, capsys: pytes
     assert frames_in(run_dir) == [50, 100, 150]
 
 
-def test_of_two_starts_in_one_folder_the_second_is_refused(tmp_path: Path) -> None:
-    config = TrainConfig(run_dir=str(tmp_path / "run"))
-    with run_folder.created(config) as run_dir:
-        kept = (run_dir / run_folder.CONFIG_FILE).read_bytes()
-        with pytest.raises(IzooError, match="not empty"), run_folder.created(config):
-            pass
-        assert (run_dir / run_folder.CONFIG_FILE).read_bytes() == kept
-        (run_dir / run_folder.METRICS_FILE).touch()  # so that the folder is not taken for a start that failed
-    assert (tmp_path / "run").is_dir()
-
-
 @pytest.mark.parametrize(("existed", "others"), [(False, False), (True, False), (True, True)])
 def test_a_start_that_fails_removes_only_its_own_files(
     existed: bool, others: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -81,17 +68,6 @@ def test_a_start_that_fails_removes_only_its_own_files(
     one_line(capsys, "cannot be collected")
     left = {str(path.relative_to(run_dir)) for path in run_dir.rglob("*")}
     assert left == ({"notes.txt"} if others else set()) and run_dir.exists() == existed
-
-
-def test_runs_that_begin_in_one_second_have_folders_of_their_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    with contextlib.ExitStack() as stack:
-        folders = [stack.enter_context(run_folder.created(TrainConfig())) for _ in range(3)]
-        for folder in folders:
-            (folder / run_folder.METRICS_FILE).touch()
-    assert len({*folders}) == 3 == len(list((tmp_path / "runs").iterdir()))
 
 
 @pytest.mark.slow
@@ -193,31 +169,6 @@ def test_a_logger_that_fails_is_done_without(capsys: pytest.CaptureFixture[str])
     loggers.close_all(sinks)
     assert sinks == [good] and good.takes == 92
     assert capsys.readouterr().err.count("Logger has failed (Connection lost); the run goes on without it.") == 2
-
-
-def test_processes_that_take_no_step_are_ended_while_their_batch_is_awaited() -> None:
-    """All of them: one that is stopped keeps the batch from coming, and nobody can see which one it is."""
-    sleepers = [subprocess.Popen(["sleep", "60"]) for _ in range(2)]
-    pids = [process.pid for process in sleepers]
-    watch = StepWatch(2, patience_s=0.4)
-    counts = open_counts(watch.path, 2)
-    try:
-        with watch.over(pids):  # the first batch may take longer
-            time.sleep(0.8)
-        assert not watch.ended
-        with watch.over(pids):
-            for _ in range(6):
-                counts[1] += 1
-                time.sleep(0.15)
-            assert not watch.ended
-            assert [process.wait(10) for process in sleepers] == [-signal.SIGKILL] * 2
-        assert watch.ended
-    finally:
-        watch.close()
-        for process in sleepers:
-            process.kill()
-            process.wait()
-    assert not watch.path.exists()
 
 
 @pytest.mark.slow

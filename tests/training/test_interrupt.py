@@ -21,8 +21,6 @@ from izoo.training.run_folder import METRICS_FILE
 from izoo.training.session import Session
 from tests.training.toy import TOY
 
-CHILD = "import sys; print('up', flush=True); sys.stdin.readline(); print('alive')"
-
 
 def test_an_interrupt_while_workers_start_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
     with graceful_interrupt() as interrupt:
@@ -32,17 +30,6 @@ def test_an_interrupt_while_workers_start_is_kept(capsys: pytest.CaptureFixture[
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
     assert "saving the run" in capsys.readouterr().err
-
-
-def test_workers_do_not_see_interrupts() -> None:
-    with workers_ignore_interrupts():
-        child = subprocess.Popen(
-            [sys.executable, "-c", CHILD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-        )
-    assert child.stdout is not None and child.stdout.readline() == b"up\n"
-    child.send_signal(signal.SIGINT)
-    answer, complaints = child.communicate(b"\n", timeout=30)
-    assert (answer, complaints, child.returncode) == (b"alive\n", b"", 0)
 
 
 def test_processes_of_multiprocessing_do_not_see_interrupts() -> None:

@@ -160,13 +160,6 @@ def test_a_best_checkpoint_of_the_future_is_forgotten(tmp_path: Path) -> None:
         assert (checkpoint.best_of(tmp_path) is not None) == kept
 
 
-def test_a_forgotten_best_checkpoint_is_replaced_by_the_next(tmp_path: Path) -> None:
-    (tmp_path / validation.VALIDATION_FILE).write_text("frames,co2_saved,best\n200,0.5,1.0\n300,0.6,1.0\n")
-    checkpoint.make_best(checkpoint.make_candidate(checkpoint.save(tmp_path, 300, {"algorithm": {}}, keep=1)))
-    assert not Validator(TrainConfig(), tmp_path, frames=300)._is_best({"co2_saved": 0.4})
-    assert Validator(TrainConfig(), tmp_path, frames=250)._is_best({"co2_saved": 0.4})
-
-
 def test_weights_whose_commands_are_nan_are_never_the_best(tmp_path: Path) -> None:
     """Their saving is that of the simulator's own driver."""
     validator = Validator(TrainConfig(), tmp_path)
@@ -260,12 +253,6 @@ def told_apart(places: int, validations: int, loss: float, runs: int) -> float:
 @pytest.mark.parametrize("validations", [1, 5, 20])
 def test_two_equal_policies_are_told_apart_in_fewer_than_a_tenth_of_runs(places: int, validations: int) -> None:
     assert told_apart(places, validations, 0.0, 400) < 0.1
-
-
-def test_what_the_numbers_of_contexts_find() -> None:
-    """The losses that ``training.md`` names are found in about half of all runs."""
-    for places, validations, loss in ((ValidationConfig().contexts, 5, 0.043), (16, 5, 0.021), (16, 20, 0.027)):
-        assert told_apart(places, validations, loss, 400) == pytest.approx(0.5, abs=0.12)
 
 
 def _saved(values: np.ndarray) -> dict[str, list[object]]:
