@@ -13,8 +13,6 @@ import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
-from hydra import compose, initialize
-from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
@@ -104,11 +102,16 @@ def compose_config(cls: type[T], words: Sequence[str], defaults: Defaults | None
         *above, last = group.split(".")
         functools.reduce(operator.getitem, above, values)[last] = to_mapping(choice)
         _merge(values, {"env": getattr(choice, "sets", {})} if "env" in values else {})
-    rest = [override for override in overrides if override.key_or_group not in chosen]
-    for override in rest:
-        if override.key_or_group not in _paths(values):
-            raise _unknown(override.key_or_group, [*_paths(values)])
-    return from_mapping(cls, _changed(values, [str(override.input_line) for override in rest]))
+    found = OmegaConf.create(values)
+    for key, value in named.items():
+        if key not in chosen:
+            if key not in _paths(values):
+                raise _unknown(key, [*_paths(values)])
+            OmegaConf.update(found, key, value, merge=False)
+    try:
+        return from_mapping(cls, OmegaConf.to_container(found, resolve=True))  # type: ignore[arg-type]
+    except OmegaConfBaseException as error:
+        raise IzooError(f"the options do not fit together: {str(error).splitlines()[0]}") from error
 
 
 def _of_task(cls: Any, task: tasks.Task) -> dict[str, Any]:
@@ -127,17 +130,6 @@ def _merge(values: dict[str, Any], changes: Mapping[str, Any]) -> None:
             _merge(values[name], value)
         else:
             values[name] = to_mapping(value)
-
-
-def _changed(values: Mapping[str, Any], words: Sequence[str]) -> dict[str, Any]:
-    """Let Hydra compose ``words`` onto ``values``."""
-    ConfigStore.instance().store(name="options", node=dict(values))
-    try:
-        with initialize(config_path=None, version_base="1.3"):
-            composed = compose(config_name="options", overrides=list(words))
-        return OmegaConf.to_container(composed, resolve=True)  # type: ignore[return-value]
-    except (HydraException, OmegaConfBaseException) as error:
-        raise IzooError(f"the options do not fit together: {str(error).splitlines()[0]}") from error
 
 
 def _unknown(key: str, paths: Sequence[str]) -> IzooError:

@@ -10,7 +10,7 @@ from pathlib import Path
 from izoo.cli.subcommands import SubcommandCommand, argument
 from izoo.console import Progress, counted, plain, unheard
 from izoo.contexts import catalogue
-from izoo.contexts.cities.compare import compare_cities, format_distances, write_png
+from izoo.contexts.cities.compare import compare_cities, format_distances
 from izoo.contexts.cities.plans import measure
 from izoo.contexts.cities.rebuilt import CITIES, SIZES, city_name
 from izoo.contexts.context import ENGINES, HOURS, SEASONS, Context
@@ -114,15 +114,11 @@ def _cities(_: argparse.Namespace) -> None:
 @CONTEXTS.command(
     "compare rebuilt cities with published statistics",
     argument("--city", action="append", help="default: all ten"),
-    argument("--png", type=Path, help="draw the histograms here"),
 )
-@unheard()
 def _compare(options: argparse.Namespace) -> None:
     tables = compare_cities([city_name(city) for city in options.city or CITIES])
     print("total variation between rebuilt and published distributions, before the flow cap (target: at most 0.05)")
     print(format_distances(tables))
-    if options.png:
-        write_png(tables, options.png)
 
 
 @CONTEXTS.command(

@@ -118,7 +118,6 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(few, town, tmp_path, capsy
         (["draw", "paris", png], "san_francisco"),
         (["draw", "atlanta", str(tmp_path / "out.pdf")], "must end in .png"),
         (["draw", "atlanta", "/dev/null/out.png"], "/dev/null"),
-        (["compare", "--city", "atlanta", "--png", "/dev/null/out.png"], "/dev/null/out.png"),
         (["try", str(town), "--city", "atlanta"], "--city"),
         (["try", "--count", "0"], "--count is 0"),
         (["try", "--horizon-s", "10"], "horizon"),
