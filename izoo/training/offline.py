@@ -17,7 +17,6 @@ from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
 from izoo.contexts.source import RandomSchedule
 from izoo.envs import make, simulator_of
 from izoo.envs.env import EcoDrivingBase
-from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError, UnfinishedError
 from izoo.files import NO_ROOM, claimed_empty, expanded
 from izoo.gpu import check_gpu
@@ -115,12 +114,7 @@ def make_policy(config: CollectConfig) -> Policy:
         policy = as_policy(config.policy, config.env).policy
         return policy.eval() if isinstance(policy, nn.Module) else policy
     algorithm, trained, _ = run_folder.load_algorithm(config.policy)
-    if observation_names(trained.env) != observation_names(config.env):
-        raise IzooError(
-            f"the policy of {config.policy} was trained on other observations than env describes; "
-            "set env.observed and env.neighbours as in its config.yaml."
-        )
-    zoo.check_actions(f"the policy of {config.policy}", trained.env, config.env)
+    zoo.check_fits(f"the policy of {config.policy}", trained.env, config.env)
     if trained.env.decision_s != config.env.decision_s:
         raise IzooError(
             f"the policy of {config.policy} decides every {trained.env.decision_s:g} s, and env every "

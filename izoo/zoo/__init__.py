@@ -6,13 +6,13 @@ path.
 """
 
 from izoo.zoo.catalog import card, check_exported, named, names
-from izoo.zoo.trained import TrainedPolicy, check_actions, full_episodes, load, read, write
+from izoo.zoo.trained import TrainedPolicy, check_fits, full_episodes, load, read, write
 
 __all__ = [
     "TrainedPolicy",
     "card",
-    "check_actions",
     "check_exported",
+    "check_fits",
     "full_episodes",
     "load",
     "named",
