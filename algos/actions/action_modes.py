@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from izoo.algos.learners.base import Algorithm
 
 Build = Callable[..., "Algorithm"]
-"""Builds an algorithm from its options, the length of an observation, the bounds of its action and, where the action 0
-leaves a vehicle alone, ``point_mass=``, a :class:`PointMass`, or, where an action is several numbers, ``size=``."""
+"""Builds an algorithm from its options, the length of an observation and an :class:`ActionSpace`."""
 
 SPREADS = (0.02, 10.0)
 """Least and most standard deviation of an untrained normal policy. Networks keep theirs above 0.01
@@ -55,6 +54,32 @@ class PointMass:
 
 
 @dataclass(frozen=True)
+class ActionSpace:
+    """What the actions of an algorithm may be.
+
+    Attributes:
+        low, high: bounds: of an acceleration in m/s^2, a share of the speed limit, or a raw action.
+        point_mass: at the action 0, which leaves a vehicle alone; ``None``: there is none.
+        size: numbers of an action.
+    """
+
+    low: float
+    high: float
+    point_mass: PointMass | None = None
+    size: int = 1
+
+    @property
+    def middle(self) -> float:
+        """The middle of the range."""
+        return (self.high + self.low) / 2
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of the range."""
+        return (self.high - self.low) / 2
+
+
+@dataclass(frozen=True)
 class DirectAction:
     """The policy's action is the acceleration.
 
@@ -76,7 +101,7 @@ class DirectAction:
 
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
         """Return the algorithm that ``build`` makes."""
-        learned = build(config, features, self.low_mps2, self.high_mps2)
+        learned = build(config, features, ActionSpace(self.low_mps2, self.high_mps2))
         if not _stores_applied(config):
             return learned
         from izoo.algos.actions.executed_actions import ExecutedActions
@@ -112,7 +137,7 @@ class SpeedAction:
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
         """Return the algorithm that ``build`` makes."""
         begun = _begun(config, self.initial, self.spread)
-        return build(begun, features, self.slowest, 1.0, size=env.action_size)
+        return build(begun, features, ActionSpace(self.slowest, 1.0, size=env.action_size))
 
 
 @dataclass(frozen=True)
@@ -144,7 +169,7 @@ class ArriveAction:
         """Return the algorithm that ``build`` makes."""
         from izoo.algos.actions.arrival import Arrival, Arriving
 
-        learned = build(_begun(config, self.initial, self.spread), features, 0.0, 1.0, size=2)
+        learned = build(_begun(config, self.initial, self.spread), features, ActionSpace(0.0, 1.0, size=2))
         return Arriving(learned, Arrival(env, self.slowest))
 
 
@@ -191,7 +216,7 @@ class AdviseAction:
         from izoo.algos.actions.action_wrappers import SpeedCap, TransformedAlgorithm
         from izoo.algos.drivers.by_name import make_driver
 
-        learned = build(config, features, -self.depth, self.depth, point_mass=self.point_mass)
+        learned = build(config, features, ActionSpace(-self.depth, self.depth, self.point_mass))
         name = getattr(config, "warm_start", "none")
         expert = None if name == "none" else make_driver(name, env)
         return TransformedAlgorithm(
@@ -235,7 +260,8 @@ class ResidualAction:
         from izoo.algos.actions.action_wrappers import TransformedAlgorithm
         from izoo.algos.actions.residual import Correction, NominalDriver
 
-        learned = build(config, features, -self.half_width_mps2, self.half_width_mps2, point_mass=self.point_mass)
+        space = ActionSpace(-self.half_width_mps2, self.half_width_mps2, self.point_mass)
+        learned = build(config, features, space)
         return TransformedAlgorithm(
             learned, Correction(NominalDriver(env)), self.half_width_mps2, executed=_executed(config, env)
         )

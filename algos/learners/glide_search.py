@@ -21,7 +21,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from izoo.algos.actions.action_modes import DirectAction
+from izoo.algos.actions.action_modes import ActionSpace, DirectAction
 from izoo.algos.drivers.base import DEFER
 from izoo.algos.drivers.glide import Glide
 from izoo.algos.learners import base
@@ -294,9 +294,9 @@ class GlideSearch(CMAES):
 
     Args:
         config: hyper-parameters.
-        features, low, high: not needed: the rule reads columns by name, and commands accelerations.
+        features: not needed: the rule reads columns by name.
+        space: accelerations without a point mass: the rule itself says when to leave a CV alone.
         device: where the numbers live.
-        point_mass: must be ``None``: the rule itself says when to leave a CV alone.
         env: settings of the environment.
 
     Raises:
@@ -311,14 +311,12 @@ class GlideSearch(CMAES):
         self,
         config: GlideSearchConfig,
         features: int,
-        low: float,
-        high: float,
+        space: ActionSpace,
         device: torch.device | str = "cpu",
-        point_mass: Any = None,
         *,
         env: EnvConfig,
     ) -> None:
-        if point_mass is not None or not math.isclose(low, ACTION_LOW_MPS2):
+        if space.point_mass is not None or not math.isclose(space.low, ACTION_LOW_MPS2):
             raise IzooError(
                 "algo=glide_search commands accelerations and knows when to leave a CV alone; choose action=direct."
             )

@@ -15,7 +15,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torchrl.modules import PopArtValueNorm, ProbabilisticActor, RunningValueNorm, ValueNorm, ValueOperator
 
-from izoo.algos.actions.action_modes import SPREADS, AdviseAction, PointMass
+from izoo.algos.actions.action_modes import SPREADS, ActionSpace, AdviseAction
 from izoo.algos.learners import base
 from izoo.algos.learners.imitation import EXPERT_ACTION, WarmStart
 from izoo.algos.learners.registry import ON_TWIN, AlgoConfig
@@ -230,16 +230,14 @@ class PPOConfig(AlgoConfig):
         )
 
 
-def make_actor(
-    features: int, low: float, high: float, config: PPOConfig, point_mass: PointMass | None = None, size: int = 1
-) -> ProbabilisticActor:
-    """Return the policy: a tanh-squashed normal over actions ``[low, high]^size``; with ``point_mass``, a censored one.
+def make_actor(features: int, space: ActionSpace, config: PPOConfig) -> ProbabilisticActor:
+    """Return the policy: a tanh-squashed normal over the actions; with a point mass, a censored one.
 
     It works on the last dimension of ``("agents", "observation")``, for any number of agents or flat rows.
     """
-    network = base.mlp(features, config.hidden, 2 * size, config.activation, 0.01, config.standardise)
-    extract = normal_parameters(network[-1], low, high, config.initial_accel_mps2, config.initial_spread, point_mass)  # type: ignore[arg-type]
-    return tanh_normal(nn.Sequential(network, extract), [base.OBSERVATION], low, high, point_mass)
+    network = base.mlp(features, config.hidden, 2 * space.size, config.activation, 0.01, config.standardise)
+    extract = normal_parameters(network[-1], space, config.initial_accel_mps2, config.initial_spread)  # type: ignore[arg-type]
+    return tanh_normal(nn.Sequential(network, extract), [base.OBSERVATION], space)
 
 
 def make_value_norm(name: str) -> ValueNorm | None:
@@ -261,10 +259,8 @@ class PPO:
     Args:
         config: hyper-parameters.
         features: length ``F`` of an observation.
-        low, high: bounds of the action: of an acceleration in m/s^2, a share of the speed limit, or a raw action.
+        space: of its actions.
         device: where the networks live.
-        point_mass: at the action 0, which leaves a vehicle alone; ``None``: there is none.
-        size: numbers of an action.
 
     Attributes:
         advantage: ``[N, T, A]`` of the last batch, before it was normalised; 0 in empty slots.
@@ -274,32 +270,25 @@ class PPO:
     advantage: Tensor
 
     def __init__(
-        self,
-        config: PPOConfig,
-        features: int,
-        low: float,
-        high: float,
-        device: torch.device | str = "cpu",
-        point_mass: PointMass | None = None,
-        size: int = 1,
+        self, config: PPOConfig, features: int, space: ActionSpace, device: torch.device | str = "cpu"
     ) -> None:
-        self.config, self.point_mass, self.size = config, point_mass, size
-        self.actor = self.make_actor(features, low, high).to(device)
-        self.policy = self.make_policy(low, high)
+        self.config, self.space = config, space
+        self.actor = self.make_actor(features).to(device)
+        self.policy = self.make_policy()
         self.critic = self.make_critic(features).to(device)
         self.loss = self.make_loss().to(device)
         self.loss.make_value_estimator()
         self.optimiser = torch.optim.Adam(self.loss.parameters(), lr=config.lr, eps=1e-5, fused=True)
         self.warm_start = WarmStart(0 if config.warm_start == "none" else config.warm_start_frames, config.kl_to_start)
 
-    def make_actor(self, features: int, low: float, high: float) -> ProbabilisticActor:
+    def make_actor(self, features: int) -> ProbabilisticActor:
         """Return the policy as the loss uses it, on flat rows."""
-        return make_actor(features, low, high, self.config, self.point_mass, self.size)
+        return make_actor(features, self.space, self.config)
 
-    def make_policy(self, low: float, high: float) -> SamplingPolicy:
+    def make_policy(self) -> SamplingPolicy:
         """Return the policy for collection; it shares the parameters of ``actor``."""
         policy = SamplingPolicy if self.config.standardise else CompiledPolicy
-        return policy(self.actor, low, high, self.point_mass, self.size)
+        return policy(self.actor, self.space)
 
     def make_critic(self, features: int) -> ValueOperator:
         """Return the value function as the loss uses it, on flat rows."""

@@ -101,9 +101,10 @@ class Home(typing.NamedTuple):
     """Where an algorithm lives.
 
     Attributes:
-        place: ``module:Class``. The class is called with its hyper-parameters, the length of an observation, the bounds
-            of its action, and ``device=``, and is an :class:`izoo.algos.learners.base.Algorithm`. Its attribute
-            ``options`` is the class of its hyper-parameters; without one it has those of :class:`AlgoConfig`.
+        place: ``module:Class``. The class is called with its hyper-parameters, the length of an observation, an
+            :class:`izoo.algos.actions.action_modes.ActionSpace`, and ``device=``, and is an
+            :class:`izoo.algos.learners.base.Algorithm`. Its attribute ``options`` is the class of its hyper-parameters;
+            without one it has those of :class:`AlgoConfig`.
         presets: class methods of ``options``; each is the choice ``algo=NAME_PRESET``.
     """
 

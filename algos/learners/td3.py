@@ -49,13 +49,13 @@ class TD3(DDPG):
     config: TD3Config
     critic_name = "qvalue"
 
-    def make_loss(self, features: int, low: float, high: float) -> MaskedTD3Loss:
+    def make_loss(self, features: int) -> MaskedTD3Loss:
         """Return the loss of ``actor`` and two critics of its own."""
         config = self.config
         return MaskedTD3Loss(
             self.actor,
-            [self.make_critic(features, low, high) for _ in range(2)],
-            bounds=(low, high),
+            [self.make_critic(features) for _ in range(2)],
+            bounds=(self.space.low, self.space.high),
             target_noise=config.target_noise,
             target_noise_clip=config.target_noise_clip,
             loss_function=config.value_loss,
