@@ -85,18 +85,6 @@ def test_an_occupied_run_folder_is_refused(finished: Path, capsys: pytest.Captur
 
 
 @pytest.mark.slow
-def test_the_multisync_collector(tmp_path: Path) -> None:
-    run_dir = tmp_path / "run"
-    words = [*TOY, "collector=multisync", "total_frames=400", f"run_dir={run_dir}"]
-    # Apart, because TorchRL sets the start method of the process.
-    done = subprocess.run(
-        [sys.executable, "-m", "izoo.train", *words], cwd=tmp_path, capture_output=True, text=True, timeout=250
-    )
-    assert done.returncode == 0, done.stderr
-    assert [int(row["frames"]) for row in rows(run_dir)] == [200, 400]
-
-
-@pytest.mark.slow
 def test_same_seed_same_weights_and_another_seed_others(finished: Path, tmp_path: Path) -> None:
     for name, seed in (("again", 0), ("other", 1)):
         assert train.main([*TOY, "total_frames=600", f"seed={seed}", f"run_dir={tmp_path / name}"]) == 0
