@@ -8,7 +8,15 @@ from dataclasses import dataclass
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, BY_STEP, MIN_SHARE, EnvConfig
+from izoo.envs.config import (
+    ACTION_HIGH_MPS2,
+    ACTION_LOW_MPS2,
+    BEFORE_AND_BEHIND,
+    BY_STEP,
+    MIN_SHARE,
+    SPEED,
+    EnvConfig,
+)
 from izoo.errors import check_range, check_types
 
 if TYPE_CHECKING:
@@ -79,8 +87,22 @@ class ActionSpace:
         return (self.high - self.low) / 2
 
 
+class ActionMode:
+    """What options of a run ask of a choice of ``action=``.
+
+    Attributes:
+        sets: settings of the environment that go with it.
+        commands: what the environment must take as actions.
+        every_step: whether its policy has to decide in every step.
+    """
+
+    sets: ClassVar[Mapping[str, Any]] = {}
+    commands: ClassVar[Mapping[str, Any]] = {}
+    every_step: ClassVar[bool] = False
+
+
 @dataclass(frozen=True)
-class DirectAction:
+class DirectAction(ActionMode):
     """The policy's action is the acceleration.
 
     Attributes:
@@ -92,7 +114,7 @@ class DirectAction:
     name: Literal["direct"] = "direct"
     low_mps2: float = ACTION_LOW_MPS2
     high_mps2: float = ACTION_HIGH_MPS2
-    sets: ClassVar[Mapping[str, Any]] = BY_STEP
+    sets = BY_STEP
 
     def __post_init__(self) -> None:
         check_types("action", self)
@@ -110,7 +132,7 @@ class DirectAction:
 
 
 @dataclass(frozen=True)
-class SpeedAction:
+class SpeedAction(ActionMode):
     """The policy's action is a desired speed, as a share of the limit, which the vehicle's own car-following keeps to.
 
     It may be one number or one each before and behind the stop line (``env.action_parts``). It takes the place of
@@ -124,6 +146,7 @@ class SpeedAction:
     """
 
     name: Literal["speed"] = "speed"
+    commands: ClassVar[Mapping[str, Any]] = {"action": SPEED}
     slowest: float = 0.2
     initial: float = 0.85
     spread: float = 0.6
@@ -141,7 +164,7 @@ class SpeedAction:
 
 
 @dataclass(frozen=True)
-class ArriveAction:
+class ArriveAction(ActionMode):
     """The policy's action: how late in a green a vehicle should arrive, and how slowly it should drive behind the line.
 
     Both become desired speeds (``env.action=speed env.action_parts=[speed_before,speed_behind]``). It
@@ -155,6 +178,7 @@ class ArriveAction:
     """
 
     name: Literal["arrive"] = "arrive"
+    commands: ClassVar[Mapping[str, Any]] = {"action": SPEED, "action_parts": BEFORE_AND_BEHIND}
     slowest: float = 0.2
     initial: float = 0.25
     spread: float = 0.6
@@ -180,7 +204,7 @@ def _begun(config: Any, initial: float, spread: float) -> Any:
 
 
 @dataclass(frozen=True)
-class AdviseAction:
+class AdviseAction(ActionMode):
     """The policy's action is speed advice to the simulator's own driver: above 0 a lower speed limit, else none.
 
     Apart from its exploration, an untrained policy is therefore the uncommanded CV. Advice acts before the stop line.
@@ -194,7 +218,8 @@ class AdviseAction:
     """
 
     name: Literal["advise"] = "advise"
-    sets: ClassVar[Mapping[str, Any]] = BY_STEP
+    sets = BY_STEP
+    every_step = True
     depth: float = 0.8
     brake_mps2: float = 1.5
     act_share: float = 0.06
@@ -225,7 +250,7 @@ class AdviseAction:
 
 
 @dataclass(frozen=True)
-class ResidualAction:
+class ResidualAction(ActionMode):
     """The policy's action is subtracted from the acceleration of the nominal controller, glide.
 
     A CV that glide leaves alone stays with the simulator's driver unless its action is above 0.
@@ -240,7 +265,8 @@ class ResidualAction:
     """
 
     name: Literal["residual"] = "residual"
-    sets: ClassVar[Mapping[str, Any]] = BY_STEP
+    sets = BY_STEP
+    every_step = True
     half_width_mps2: float = 1.0
     act_share: float = 0.08
     spread: float = 0.35

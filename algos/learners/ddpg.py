@@ -26,6 +26,7 @@ from izoo.algos.learners.replay import ERROR, Replay, transitions
 from izoo.algos.losses import MaskedDDPGLoss
 from izoo.algos.networks import compiled_mlp
 from izoo.algos.networks.set_networks import spread_out
+from izoo.envs.config import SPEED
 from izoo.errors import check_choice, check_range, check_types
 
 
@@ -149,6 +150,15 @@ class DDPGConfig(AlgoConfig):
     def emits(self) -> tuple[str, ...]:
         """Groups that the environment has to emit for this algorithm."""
         return ("number",) if self.control_variate == "vehicle" else ()
+
+    def by_step(self, run: Any) -> tuple[str, ...]:
+        """Return the options with which it learns from decisions in every step alone."""
+        return ("algo.stores=applied",) if self.stores == "applied" and run.env.action != SPEED else ()
+
+    @property
+    def second_play(self) -> str:
+        """The option for which every training episode is played a second time, uncommanded; empty: there is none."""
+        return "" if self.control_variate == "none" else f"algo.control_variate={self.control_variate}"
 
     @classmethod
     def paper(cls) -> DDPGConfig:

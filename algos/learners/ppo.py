@@ -167,6 +167,11 @@ class PPOConfig(AlgoConfig):
         """Groups that the environment has to emit for this algorithm."""
         return ("number",) if self.control_variate == "vehicle" else ()
 
+    @property
+    def second_play(self) -> str:
+        """The option for which every training episode is played a second time, uncommanded; empty: there is none."""
+        return "" if self.control_variate == "none" else f"algo.control_variate={self.control_variate}"
+
     def check_run(self, run: Any) -> None:
         """Raise :class:`IzooError` where other options of a run do not go with these."""
         super().check_run(run)

@@ -79,6 +79,15 @@ class AlgoConfig:
         """Groups that the environment has to emit for this algorithm."""
         return ("team_reward",) if self.candidates > 1 else ()
 
+    @property
+    def second_play(self) -> str:
+        """The option for which every training episode is played a second time, uncommanded; empty: there is none."""
+        return ""
+
+    def by_step(self, run: Any) -> tuple[str, ...]:
+        """Return the options with which it learns from decisions in every step alone."""
+        return (f"algo={self.name}",) if self.candidates > 1 else ()
+
     def check_run(self, run: Any) -> None:
         """Raise :class:`IzooError` where other options of a run do not go with these.
 

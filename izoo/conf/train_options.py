@@ -12,7 +12,7 @@ from izoo.algos.learners.registry import AlgoConfig, preset
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.envs import REFERENCE, simulator_of
-from izoo.envs.config import BEFORE_AND_BEHIND, SPEED, STEP, EnvConfig
+from izoo.envs.config import SPEED, STEP, EnvConfig
 from izoo.errors import IzooError, check_range, check_types
 from izoo.files import make_absolute
 
@@ -338,14 +338,12 @@ class TrainConfig(RolloutConfig):
 
     def _fit_action(self) -> None:
         """Let the environment take what the policy's actions stand for."""
-        name, env = self.action.name, self.env
-        parts = BEFORE_AND_BEHIND if name == "arrive" else env.action_parts
-        if name in ("speed", "arrive"):
-            object.__setattr__(self, "env", dataclasses.replace(env, action=SPEED, action_parts=parts))
-        elif env.action == SPEED:
+        if self.action.commands:
+            object.__setattr__(self, "env", dataclasses.replace(self.env, **self.action.commands))
+        elif self.env.action == SPEED:
             raise IzooError(
                 f"env.action=speed takes desired speeds, but the policy's actions are those of action="
-                f"{name}; choose action=speed or arrive, or env.action=acceleration."
+                f"{self.action.name}; choose action=speed or arrive, or env.action=acceleration."
             )
 
 
