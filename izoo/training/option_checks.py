@@ -26,23 +26,7 @@ def check_options(config: TrainConfig) -> None:
     simulator.check_settings(config.env)
     if simulator.batched and config.twin.surrogate == "cuda":
         check_gpu("twin.surrogate", "torch")
-    _check_decisions(config)
-    policies, envs = config.algo.candidates, config.environments
-    if policies > 1 and (not simulator.batched or envs % policies or config.env.reward.eta != 1.0):
-        raise IzooError(
-            f"algo={config.algo.name} lets {policies} policies play the same episodes side by side and compares "
-            f"their teams' rewards, but simulator is {config.simulator}, num_envs {envs} and env.reward.eta "
-            f"{config.env.reward.eta:g}; choose simulator=twin, a multiple of {policies} for num_envs, and "
-            "env.reward=fuel_team or env.reward.eta=1."
-        )
-    if config.collector.name == "ray":
-        ray_cluster.connect()
-
-
-def _check_decisions(config: TrainConfig) -> None:
-    """Raise :class:`IzooError` where the options of a run need decisions, or a simulator, that it does not have."""
     algo, decide = config.algo, config.env.decide
-    simulator = simulator_of(config.simulator)
     if algo.second_play and not simulator.batched:
         raise IzooError(
             f"{algo.second_play} plays every training episode a second time, uncommanded, which {simulator.label} does "
@@ -60,3 +44,13 @@ def _check_decisions(config: TrainConfig) -> None:
         by_step += ("levels.draw=prioritised",)
     if by_step and decide != STEP:
         raise IzooError(f"{by_step[0]} learns from decisions in every step; set env.decide=step, not {decide}.")
+    policies, envs = algo.candidates, config.environments
+    if policies > 1 and (not simulator.batched or envs % policies or config.env.reward.eta != 1.0):
+        raise IzooError(
+            f"algo={algo.name} lets {policies} policies play the same episodes side by side and compares "
+            f"their teams' rewards, but simulator is {config.simulator}, num_envs {envs} and env.reward.eta "
+            f"{config.env.reward.eta:g}; choose simulator=twin, a multiple of {policies} for num_envs, and "
+            "env.reward=fuel_team or env.reward.eta=1."
+        )
+    if config.collector.name == "ray":
+        ray_cluster.connect()
