@@ -1,4 +1,4 @@
-"""From words on a command line to a dataclass: Hydra reads and composes them, choices come from the dataclasses.
+"""From words on a command line to a dataclass: Hydra parses them, and choices come from the dataclasses.
 
 A group such as ``algo=ddpg`` takes the place of all its options; ``task=NAME`` changes the defaults of what belongs to
 a task; every other word changes one option.

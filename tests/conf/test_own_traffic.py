@@ -137,12 +137,15 @@ def _set(name: str, key: str, value: Any) -> Any:
         ("[1, 2]", "holds no drivers"),
         (broken(lambda c: c["classes"].pop("heavy")), "classes light and heavy"),
         (broken(lambda c: c.update(converged=False)), "did not converge; calibrate again"),
-        (broken(_set("light", "log_mean", [2.9, 0.8, -1.2, -0.3])), "light drivers need 5 numbers"),
-        (broken(_set("light", "log_mean", [2.9, "x", -1.2, -0.3, 0.5])), "where a list of numbers belongs"),
+        (
+            broken(_set("light", "log_mean", [2.9, 0.8, -1.2, -0.3])),
+            "log_mean, 5 for each of light and heavy",
+        ),
+        (broken(_set("light", "log_mean", [2.9, "x", -1.2, -0.3, 0.5])), "needs numbers in log_mean"),
         (broken(_set("light", "log_mean", [2.9, 0.8, -1.2, -0.3, float("nan")])), "not finite"),
-        (broken(_set("light", "log_mean", [10**400, 0.8, -1.2, -0.3, 0.5])), "where a list of numbers belongs"),
-        (broken(_set("light", "log_cov", None)), "has None where a list belongs"),
-        (broken(_set("light", "log_cov", [1, 2, 3, 4, 5])), "where a list"),
+        (broken(_set("light", "log_mean", [10**400, 0.8, -1.2, -0.3, 0.5])), "needs numbers in log_mean"),
+        (broken(_set("light", "log_cov", None)), "needs numbers in log_cov, 5 x 5"),
+        (broken(_set("light", "log_cov", [1, 2, 3, 4, 5])), "needs numbers in log_cov, 5 x 5"),
         (broken(_set("heavy", "log_mean", [15.0, 2.0, 1.5, 1.0, 1.5])), r"median v0_mps of heavy drivers is exp\(15\)"),
         (broken(_set("heavy", "log_cov", np.tri(5).tolist())), "heavy drivers is not symmetric"),
         (broken(_set("heavy", "log_cov", np.ones((5, 5)).tolist())), "not positive definite"),
@@ -160,7 +163,7 @@ def test_a_file_that_cannot_be_used_says_why(text: str, message: str, tmp_path: 
 def test_a_file_that_is_not_there_is_named() -> None:
     with pytest.raises(IzooError, match="cannot read the drivers /nowhere: No such file"):
         chosen("contexts=city", "contexts.drivers=/nowhere").build()
-    with pytest.raises(IzooError, match="1 classes; give light and heavy"):
+    with pytest.raises(IzooError, match="needs numbers in log_mean"):
         DriverPopulation(((0.0,) * 5,), ())
 
 
