@@ -3,7 +3,6 @@ import pytest
 
 from izoo.contexts.distributions import Box, Uniform
 from izoo.contexts.procedural import (
-    DEFAULTS,
     EASY,
     SYSTEMATICITY_TEST,
     SYSTEMATICITY_TEST_SAMPLE,
@@ -147,7 +146,3 @@ def test_illegal_features_are_refused(features, message):
 def test_roads_of_another_grade_are_another_intersection():
     names = {procedural_intersection(grade=grade).name for grade in (0.0, 0.05, -0.05)}
     assert len(names) == 3 and procedural_intersection().name in names
-
-
-def test_every_default_is_legal():
-    assert procedural_context(**DEFAULTS) == procedural_context()
