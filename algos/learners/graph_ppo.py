@@ -69,6 +69,7 @@ class GCRLConfig(PPOConfig):
     """
 
     name: str = "gcrl"
+    starts_with = "graph"
     neighbours: int | None = 4
     range_m: float | None = 100.0
     layers: int = 2

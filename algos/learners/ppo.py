@@ -148,7 +148,7 @@ class PPOConfig(AlgoConfig):
         check_range("algo.kl_to_start", self.kl_to_start, 0.0, 1e6)
         base.check_widths("algo.hidden", self.hidden)
 
-    takes_start = True
+    starts_with: ClassVar[str] = "layers"
     estimates_advantages = True
     runs: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "vehicle": {**ON_TWIN, "num_envs": 64, "total_frames": 92_160, "validation": {"every_batches": 20}},

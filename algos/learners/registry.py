@@ -62,8 +62,8 @@ class AlgoConfig:
     frames_per_batch: int = 1950
     needs_env: ClassVar[bool] = False
     """Whether the algorithm is also told the settings of the environment, ``env=``."""
-    takes_start: ClassVar[bool] = False
-    """Whether it can begin with the policy of another run."""
+    starts_with: ClassVar[str] = ""
+    """Kind of network of the policies, of other runs, that it can begin with; empty: with none."""
     estimates_advantages: ClassVar[bool] = False
     """Whether it estimates advantages, which say how much a context still teaches."""
     runs: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
@@ -99,7 +99,7 @@ class AlgoConfig:
                 f"levels.draw=prioritised scores contexts by estimated advantages, and algo={self.name} has none; "
                 "choose algo=ppo, mappo or gcrl, or levels.draw=uniform."
             )
-        if run.start is not None and not self.takes_start:
+        if run.start is not None and not self.starts_with:
             raise IzooError(
                 f"start={run.start} begins with the policy of another run, which algo={self.name} cannot: what it "
                 "keeps beside its policy would not fit. Choose algo=ppo, mappo or gcrl, or leave start out."

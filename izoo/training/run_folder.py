@@ -14,7 +14,6 @@ import yaml
 from tensordict.nn import TensorDictModuleBase
 
 from izoo.algos.learners.base import Algorithm, innermost
-from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.mapping import from_mapping, to_mapping, to_yaml
@@ -201,7 +200,7 @@ def begin_with(algorithm: Algorithm, config: TrainConfig) -> None:
     """
     path = checkpoint.find(Path(config.start or ""))
     theirs, state = read_config(checkpoint.run_of(path)), checkpoint.load(path)
-    if not isinstance(theirs.algo, PPOConfig) or (theirs.algo.name == "gcrl") != (config.algo.name == "gcrl"):
+    if theirs.algo.starts_with != config.algo.starts_with:
         raise IzooError(
             f"start={config.start} is a run of algo={theirs.algo.name}, whose policy has other networks than that of "
             f"algo={config.algo.name}; ppo and mappo can begin with each other's, gcrl with its own."
