@@ -3,28 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 from izoo.conf.own_traffic import SourceConfig
 from izoo.contexts import catalogue
-from izoo.contexts.cities.rebuilt import city_name
 from izoo.contexts.source import ContextSource
-from izoo.errors import IzooError, check_range
+from izoo.errors import IzooError
 
 Season = Literal["winter", "spring", "summer", "fall"]
 Hour = Literal["peak", "off-peak"]
 Engine = Literal["combustion", "electric"]
 Split = Literal["train", "validation", "test", "all"]
 LAST_ID = catalogue.SIZE - 1
-
-
-def check_published_weather(config: Any) -> None:
-    """Raise :class:`IzooError` where the paper's weather, of its summer, is asked for in another season."""
-    if config.weather == "published" and config.season not in ("summer", ["summer"]):
-        raise IzooError(
-            f"contexts.season is {config.season!r}, but contexts.weather=published is the weather of the paper's "
-            "summer; choose contexts.season=summer or contexts.weather=county."
-        )
 
 
 @dataclass(frozen=True)
@@ -57,14 +47,6 @@ class CityContexts(SourceConfig):
     weather: Literal["county", "published"] = "county"
     cv_vehicle: Literal["paper", "human"] = "paper"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for city in [self.city] if isinstance(self.city, str) else self.city or []:
-            city_name(city)
-        for share in [self.adoption] if isinstance(self.adoption, float) else self.adoption or []:
-            check_range("contexts.adoption", share, 0.0, 1.0)
-        check_published_weather(self)
-
     def source(self) -> ContextSource:
         """Return the scenarios, lazily; raises :class:`IzooError` where none is left."""
         own = {name: value for name, value in vars(self).items() if name not in vars(SourceConfig())}
@@ -85,21 +67,13 @@ class CatalogueContexts(SourceConfig):
     ids: tuple[int | str, ...] = ()
     cv_vehicle: Literal["paper", "human"] = "paper"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._ranges()
-
     def source(self) -> ContextSource:
         """Return the scenarios, lazily."""
-        ranges = self._ranges()
-        if not ranges:
+        if not self.ids:
             raise IzooError(
                 f"contexts.ids is empty; give ids from 0 to {catalogue.SIZE - 1}: contexts.ids=[17,100..199]."
             )
-        return catalogue.by_ids(ranges, self.cv_vehicle)
-
-    def _ranges(self) -> list[range]:
-        return [_range(item) for item in self.ids]
+        return catalogue.by_ids([_range(item) for item in self.ids], self.cv_vehicle)
 
 
 def _range(item: int | str) -> range:

@@ -85,10 +85,6 @@ class PcgContexts(SourceConfig):
     approach: Setting = None
     exclude: list[dict] | None = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_choice("contexts.preset", self.preset, PRESETS)
-
     def source(self) -> ContextSource:
         """Return the source; raises :class:`IzooError` for settings outside their legal range."""
         base = PRESETS[self.preset].product

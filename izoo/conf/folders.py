@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from izoo.conf.built_in import Engine, Hour, Season, Split, check_published_weather
+from izoo.conf.built_in import Engine, Hour, Season, Split
 from izoo.conf.own_traffic import SourceConfig
 from izoo.contexts.cities.weather import weather
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList, ContextSource
 from izoo.contexts.splits import split_names
-from izoo.errors import IzooError, check_range
+from izoo.errors import IzooError
 from izoo.files import make_absolute
 
 
@@ -44,12 +44,6 @@ class FolderContexts(SourceConfig):
         make_absolute(self, "path")
         if self.adoption == []:
             raise IzooError("contexts.adoption is an empty list; give a share from 0 to 1, or a list of shares.")
-        for share in self._shares:
-            check_range("contexts.adoption", share, 0.0, 1.0)
-
-    @property
-    def _shares(self) -> list[float]:
-        return [self.adoption] if isinstance(self.adoption, float) else self.adoption
 
     def check(self) -> Path:
         """Return the folder; raise :class:`IzooError` where none is named, or none is there; reads nothing."""
@@ -64,7 +58,7 @@ class FolderContexts(SourceConfig):
         # Imported here: reading options must not wait for SUMO's packages.
         from izoo.networks.dataset.intersections import load_dataset
 
-        shares = self._shares
+        shares = [self.adoption] if isinstance(self.adoption, float) else self.adoption
         same = {name: getattr(self, name) for name in ("approaches", "hour", "engine", "cv_vehicle")}
         contexts = load_dataset(self.check(), adoption=shares[0], **same, **fields)
         if len(shares) > 1:
@@ -98,7 +92,11 @@ class DatasetContexts(FolderContexts):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_published_weather(self)
+        if self.weather == "published" and self.season != "summer":
+            raise IzooError(
+                f"contexts.season is {self.season!r}, but contexts.weather=published is the weather of the paper's "
+                "summer; choose contexts.season=summer or contexts.weather=county."
+            )
 
     def source(self) -> ContextSource:
         """Read the folders and return their contexts; raises :class:`IzooError` naming the file that cannot be used."""
@@ -121,11 +119,6 @@ class OsmContexts(FolderContexts):
     temperature_c: float = 20.0
     humidity_pct: float = 46.0
     remedy = "build intersections first: python -m izoo.contexts build --osm FILE OUT"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_range("contexts.temperature_c", self.temperature_c, -60.0, 60.0, "degrees C")
-        check_range("contexts.humidity_pct", self.humidity_pct, 0.0, 100.0, "%")
 
     def check(self) -> Path:
         """Return the folder; raise :class:`IzooError` also where it holds no such build; reads nothing."""
