@@ -26,6 +26,7 @@ from izoo.results import read_table
 from izoo.results.store import read_manifest
 from izoo.training import checkpoint, run_folder
 from izoo.training.loggers import MetricsTable
+from tests.training.toy import begun
 
 TOY = [
     *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "algo.hidden=[16]"),
@@ -115,20 +116,10 @@ def test_resume_goes_on_where_the_run_stopped(tmp_path: Path, capsys: pytest.Cap
     assert checkpoint.frames_of(checkpoint.listed(run_dir)[-1]) == 600
 
 
-def start(run_dir: Path, *words: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "izoo.train", *TOY, "total_frames=100000000", f"run_dir={run_dir}", *words]
-    process = subprocess.Popen(
-        command, cwd=run_dir.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline and process.poll() is None and not checkpoint.listed(run_dir):
-        time.sleep(0.1)
-    return process
-
-
 def test_ctrl_c_once_finishes_in_good_order(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
-    process = start(run_dir, "checkpoint.every_batches=3")
+    words = [*TOY, "total_frames=100000000", "checkpoint.every_batches=3"]
+    process = begun(run_dir, words, lambda: checkpoint.listed(run_dir))
     os.killpg(process.pid, signal.SIGINT)  # a terminal reaches the whole group, workers included
     output, error = process.communicate(timeout=120)
     assert process.returncode == 130, error

@@ -20,7 +20,7 @@ from izoo import files, train
 from izoo.errors import IzooError
 from izoo.training import checkpoint, loggers, run_folder, run_state
 from izoo.training.learner import Learner, is_finite
-from tests.training.toy import TOY
+from tests.training.toy import TOY, begun
 
 
 def frames_in(run_dir: Path) -> list[int]:
@@ -176,16 +176,8 @@ def test_a_stopped_process_ends_a_multisync_run_in_the_time_of_the_watchdog(tmp_
     run_dir = tmp_path / "run"
     words = [word for word in TOY if not word.startswith(("collector", "total_frames"))]
     words += ["collector=multisync", "num_workers=2", "total_frames=100000000", "env.watchdog_s=4"]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "izoo.train", *words, f"run_dir={run_dir}"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    process = begun(run_dir, words, lambda: checkpoint.listed(run_dir))
     try:
-        deadline = time.monotonic() + 200
-        while not checkpoint.listed(run_dir) and process.poll() is None and time.monotonic() < deadline:
-            time.sleep(0.1)
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
         collecting = [int(pid) for pid in children if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
         assert len(collecting) == 2

@@ -5,9 +5,6 @@ from __future__ import annotations
 import dataclasses
 import os
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -27,6 +24,7 @@ from izoo.training import checkpoint, run_folder
 from izoo.training.command_replay import EpisodeHistories, EpisodeHistory
 from izoo.training.environments import TrainingEnv, training_class
 from tests.training import toy
+from tests.training.toy import begun
 
 TOY = [
     *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "contexts.adoption=1.0", "env.horizon_s=100"),
@@ -56,19 +54,11 @@ def flat(state: object, prefix: str = "") -> dict[str, object]:
 
 def kill_in_batch(run_dir: Path, words: list[str], batch: int, frames_per_batch: int = 200) -> None:
     """Start a run and kill it with SIGKILL once ``batch - 1`` checkpoints have been written."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "izoo.train", *words, f"run_dir={run_dir}"],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-    )
     awaited = checkpoint.folder_of(run_dir) / f"step-{(batch - 1) * frames_per_batch:012d}.pt"
-    deadline = time.monotonic() + 120
-    while not awaited.exists() and process.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.002)
+    process = begun(run_dir, words, awaited.exists)
     os.killpg(process.pid, signal.SIGKILL)
     _, error = process.communicate(timeout=30)
-    assert awaited.exists(), error.decode()
+    assert awaited.exists(), error
     newest = checkpoint.load(checkpoint.find(run_dir))["frames"]
     assert newest < 1200, "the run was over before it was killed"
 

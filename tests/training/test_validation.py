@@ -30,6 +30,7 @@ from izoo.results.rollout import DRAIN_S
 from izoo.training import checkpoint, run_folder, validation
 from izoo.training.validation import Validator, shown_worse
 from izoo.training.validation_rollout import CONTEXTS, held_out
+from tests.training.toy import begun
 
 TOY = [
     *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "contexts.lane_length_m=120", "env.horizon_s=75"),
@@ -211,13 +212,8 @@ def test_processes_import_what_the_run_does(tmp_path: Path) -> None:
 def test_ctrl_c_does_not_wait_for_validation(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     words = [word for word in TOY if not word.startswith("validation")]
-    words += ["total_frames=100000000", "validation.every_batches=1", "validation.seeds=1000", f"run_dir={folder}"]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "izoo.train", *words], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
-    )
-    deadline = time.monotonic() + 120
-    while not checkpoint.candidates(folder) and process.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.05)
+    words += ["total_frames=100000000", "validation.every_batches=1", "validation.seeds=1000"]
+    process = begun(folder, words, lambda: checkpoint.candidates(folder))
     os.kill(process.pid, signal.SIGINT)
     _, error = process.communicate(timeout=60)
     assert process.returncode == 130, error
