@@ -169,26 +169,17 @@ def _setting(name: str, value: Any) -> Any:
     """Read ``low..high`` as an interval and a mapping as weights; whole numbers become integers, as counts need."""
     if isinstance(value, list):
         return [_setting(name, item) for item in value]
-    if isinstance(value, Mapping):
-        return _weights(name, value)
-    if isinstance(value, str) and ".." in value:
-        low, high = _interval(name, value)
-        try:
-            return Uniform(low, high)
-        except IzooError as error:
-            raise IzooError(f"contexts.{name}: {error}") from error
-    if isinstance(value, float) and value.is_integer():
-        return int(value)
-    return value
-
-
-def _weights(name: str, value: Mapping[Any, Any]) -> Weighted:
-    if not all(isinstance(share, (int, float)) for share in value.values()):
-        raise IzooError(f"contexts.{name} is {dict(value)}; give each value its probability, like {{1:0.25,2:0.75}}.")
     try:
-        return Weighted(tuple(_number(key) for key in value), tuple(value.values()))
-    except IzooError as error:
-        raise IzooError(f"contexts.{name}: {error}") from error
+        if isinstance(value, Mapping):
+            return Weighted(tuple(map(_number, value)), tuple(value.values()))
+        if isinstance(value, str) and ".." in value:
+            return Uniform(*map(float, value.split("..")))
+    except (TypeError, ValueError) as error:
+        remedy = (
+            "Write an interval as low..high, like 20..32, and weights as {value:probability}, like {1:0.25,2:0.75}."
+        )
+        raise IzooError(f"contexts.{name}: {str(error).rstrip('.')}. {remedy}") from error
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def _number(value: Any) -> Any:
@@ -198,14 +189,6 @@ def _number(value: Any) -> Any:
     except ValueError:
         return value
     return int(number) if number.is_integer() else number
-
-
-def _interval(name: str, value: str) -> tuple[float, float]:
-    try:
-        low, high = (float(end) for end in value.split(".."))
-    except ValueError:
-        raise IzooError(f"contexts.{name} is {value!r}; an interval is written low..high, like 20..32.") from None
-    return low, high
 
 
 def _box(sides: Mapping[str, Any]) -> Box:

@@ -16,7 +16,6 @@ from izoo.conf.train_options import CollectConfig
 from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
 from izoo.contexts.source import RandomSchedule
 from izoo.envs import make, simulator_of
-from izoo.envs.env import EcoDrivingBase
 from izoo.errors import IzooError, UnfinishedError
 from izoo.files import NO_ROOM, claimed_empty, expanded
 from izoo.gpu import check_gpu
@@ -78,8 +77,13 @@ def collect(config: CollectConfig) -> Path:
 
 def _make_collector(config: CollectConfig, policy: Policy, schedule: RandomSchedule) -> Collector:
     """Return the source of batches, which has begun its first episodes."""
+    options: dict[str, Any] = {}
+    if simulator_of(config.simulator).batched:
+        options = {"threads": config.twin.threads, "surrogate": config.twin.surrogate}
+        if config.twin.surrogate == "cuda":
+            check_gpu("twin.surrogate", "torch")
     with workers_ignore_interrupts():
-        env = _make_env(config, schedule)
+        env = make(config.simulator, config.environments, schedule, config.env, seed=config.seed, shard=0, **options)
         torch.manual_seed(config.seed)
         try:
             return Collector(
@@ -95,15 +99,6 @@ def _make_collector(config: CollectConfig, policy: Policy, schedule: RandomSched
             if not env.is_closed:
                 env.close()
             raise
-
-
-def _make_env(config: CollectConfig, schedule: RandomSchedule) -> EcoDrivingBase:
-    options: dict[str, Any] = {}
-    if simulator_of(config.simulator).batched:
-        options = {"threads": config.twin.threads, "surrogate": config.twin.surrogate}
-        if config.twin.surrogate == "cuda":
-            check_gpu("twin.surrogate", "torch")
-    return make(config.simulator, config.environments, schedule, config.env, seed=config.seed, shard=0, **options)
 
 
 def make_policy(config: CollectConfig) -> Policy:
