@@ -20,7 +20,7 @@ from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
 from izoo.envs.config import ACTION_LOW_MPS2, EnvConfig
 from izoo.errors import IzooError, check_range
-from izoo.files import expanded
+from izoo.files import make_absolute
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -92,8 +92,7 @@ class PlannerConfig:
             raise IzooError(f"every_s is {self.every_s:g}; give a whole multiple of env.step_s={self.env.step_s:g}.")
         check_range("look_ahead_s", self.look_ahead_s, self.every_s, 3600.0, "s")
         check_range("brake_mps2", self.brake_mps2, 0.1, -ACTION_LOW_MPS2, "m/s^2")
-        if self.out is not None:
-            object.__setattr__(self, "out", str(expanded(self.out).absolute()))
+        make_absolute(self, "out")
 
     @property
     def source(self) -> str:
@@ -102,7 +101,7 @@ class PlannerConfig:
         return f"planner {own}"
 
 
-def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFrame:
+def run(config: PlannerConfig) -> pd.DataFrame:
     """Play what the folder ``out`` does not hold yet, print what was found, and return all rows.
 
     Raises:

@@ -142,7 +142,7 @@ def print_table(rows: Sequence[Row]) -> None:
     Table.of("speed", columns, lines).show()
 
 
-def run(config: SpeedConfig, given: frozenset[str] = frozenset()) -> list[Row]:
+def run(config: SpeedConfig) -> list[Row]:
     """Measure, with a bar on the error stream meanwhile, and print the table."""
     print("Loading torch and the simulators.", flush=True)
     config = whole_machine(config) if config.machine else config

@@ -38,6 +38,7 @@ _HOME = {
     "TwinEnv": "twin_env",
 }
 __all__ = [
+    "COMPILED",
     "MODEL_VERSION",
     "REFERENCE",
     "SIMULATORS",
@@ -95,6 +96,8 @@ SIMULATORS = {
 """Every simulator by its name; a further one is a line here, and a folder beside ``envs/sumo``."""
 REFERENCE = "sumo"
 """The one whose results count."""
+COMPILED = "twin"
+"""Its compiled copy, on which presets and tasks train."""
 
 
 def simulator_of(name: str, option: str = "simulator") -> Simulator:

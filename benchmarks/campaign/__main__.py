@@ -20,7 +20,7 @@ from pathlib import Path
 
 from izoo.cli.option_command import GOES_ON, OptionCommand
 from izoo.errors import check_range, check_types
-from izoo.files import expanded
+from izoo.files import make_absolute
 
 TABLES_FILE = "tables.md"
 
@@ -59,13 +59,10 @@ class CampaignConfig:
         check_range("runs_at_once", self.runs_at_once, 1, 1024)
         if self.threads is not None:
             check_range("threads", self.threads, 1, 1024)
-        for name in ("out", "dataset", "cache"):
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, str(expanded(value).absolute()))
+        make_absolute(self, "out", "dataset", "cache")
 
 
-def run(config: CampaignConfig, given: frozenset[str] = frozenset()) -> Path:
+def run(config: CampaignConfig) -> Path:
     """Do what is missing, sum up, and return the campaign's folder."""
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
     from izoo.benchmarks.campaign import summing_up

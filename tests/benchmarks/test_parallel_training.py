@@ -26,10 +26,10 @@ WORDS = [
 PATIENCE_S = 120.0
 
 
-def order(folder: Path, name: str, frames: int, *more: str) -> tuple[TrainConfig, frozenset[str], Path]:
+def order(folder: Path, name: str, frames: int, *more: str) -> tuple[TrainConfig, Path]:
     run_dir = folder / name
     words = [*WORDS, f"total_frames={frames}", f"run_dir={run_dir}", *more]
-    return compose_config(TrainConfig, words), frozenset(), folder / f"{name}.log"
+    return compose_config(TrainConfig, words), folder / f"{name}.log"
 
 
 def wait_until(true: Callable[[], object], what: str) -> None:

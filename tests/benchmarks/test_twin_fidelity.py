@@ -316,12 +316,11 @@ def test_ctrl_c_ends_the_command_in_good_order(tmp_path: Path) -> None:
 
 
 def test_policies_of_the_zoo_are_played_in_their_own_environment() -> None:
-    config = FidelityConfig(policies=("glide", "zoo:measured_search"), env=EnvConfig(horizon_s=90.0))
-    env = twin.env_of(config, frozenset({"env.horizon_s"}))
+    env = twin.COMMAND.compose(["policies=[glide,zoo:measured_search]", "env.horizon_s=90"]).env
     own = zoo.load("measured_search").env
     assert (env.hold_s, env.observed, env.horizon_s) == (own.hold_s, own.observed, 90.0)
     assert own.hold_s != EnvConfig().hold_s
-    assert twin.env_of(FidelityConfig(), frozenset()) == EnvConfig()
+    assert twin.COMMAND.compose([]).env == EnvConfig()
 
 
 def test_a_context_in_which_nobody_drives_is_not_compared_step_by_step() -> None:
