@@ -164,13 +164,14 @@ class PartRun:
                     continue
                 if kind == "trained" and self.part.trained_in is None:
                     found.append(Job("train", name, seed))
-                simulators = ("twin",) if kind == "planner" else self.part.simulators
-                found += [Job("test", name, seed, each) for each in simulators if self._plays_in(each, seed)]
+                found += [Job("test", name, seed, each) for each in self._simulators(kind, seed)]
         return found
 
-    def _plays_in(self, simulator: str, seed: int) -> bool:
+    def _simulators(self, kind: str, seed: int) -> list[str]:
+        """Return what plays the tests of a training seed; the planner needs worlds that can be branched."""
+        able = [name for name in self.part.simulators if kind != "planner" or SIMULATORS[name].saves]
         most = self.part.sumo_seeds
-        return simulator != REFERENCE or most is None or seed < most
+        return [name for name in able if name != REFERENCE or most is None or seed < most]
 
     def missing(self) -> list[Job]:
         """Return the jobs whose frames or rows are not there."""

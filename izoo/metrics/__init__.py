@@ -8,3 +8,6 @@
 - :mod:`~izoo.metrics.paper_form`: the measure of the published figures.
 - :mod:`~izoo.metrics.student`: Student's t.
 """
+
+REFERENCE = "sumo"
+"""The simulator whose results count, where several have played."""

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from izoo.errors import IzooError
+from izoo.metrics import REFERENCE
 from izoo.metrics.figures import Array
 from izoo.metrics.statistics import pooled
 
@@ -24,10 +25,10 @@ CONTEXT = ["train_seed", "context_hash"]
 
 
 def simulators(table: pd.DataFrame) -> list[str]:
-    """Return what played a table, the one that played most episodes first; of two that played as many, SUMO."""
+    """Return what played a table, the one that played most episodes first; of two that played as many, the reference."""
     episodes = table.drop_duplicates(["policy", "train_seed", "simulator", "context_hash", "seed"])
     counts = episodes["simulator"].value_counts()
-    return sorted(counts.index, key=lambda name: (-counts[name], name))
+    return sorted(counts.index, key=lambda name: (-counts[name], name != REFERENCE))
 
 
 class Paired(NamedTuple):

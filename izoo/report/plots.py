@@ -22,6 +22,7 @@ BINS, LIMIT_PCT = 150, 100.0
 """The published histogram: values clipped to +-100 %, 150 bins."""
 THRESHOLDS_PCT = np.arange(-100.0, 100.5, 0.5)
 UNTRAINED = "_untrained"
+"""Ends the name of an entry that is played as its training begins."""
 SVG_STYLE: Any = {
     **{"svg.fonttype": "none", "svg.hashsalt": "izoo", "legend.frameon": False},
     **dict.fromkeys(("axes.edgecolor", "xtick.color", "ytick.color", "grid.color"), QUIET),
