@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import sys
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from tensordict import TensorDictBase
 
 from izoo.benchmarks.fidelity.driving_statistics import COUNTS, DrivingStatistics
 from izoo.benchmarks.fidelity.single_vehicle import Departure
-from izoo.console import Progress
 from izoo.contexts.context import Context
 from izoo.envs import SIMULATORS, EcoDrivingEnv
 from izoo.envs.config import STEP, EnvConfig
@@ -22,7 +19,7 @@ from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 from izoo.results.playing import Policy, run_episode
 from izoo.results.policies import NamedPolicy
-from izoo.results.rows_file import Row, RowsFile
+from izoo.results.rows_file import Key, Row, RowsFile
 from izoo.results.selection import EpisodeSeeds
 
 TOLERANCE = 1e-3
@@ -124,26 +121,24 @@ def compare_steps(
         if context.demand_approaches
         for each in policies
     }
-    there = {tuple(row[name] for name in KEY) for row in kept.rows}
-    todo = [key for key in plays if key not in there]
+
+    def compare(key: Key, play: tuple[NamedPolicy, Context]) -> list[Row]:
+        named, context = play
+        road = read_road(build_net(context.intersection))
+        about = {
+            "context": context.name,
+            "adoption": context.adoption,
+            "demand": "all" if context.approach is None else "one",
+            "lanes": max(int(road.lane_count[road.approaches.index(leg)]) for leg in context.demand_approaches),
+        }
+        sumo, twin = (Watched(each, named.policy, context, key[-1]) for each in environments)
+        return [about | compared(sumo, twin, env.hold_steps)]
+
     with contextlib.ExitStack() as stack:
-        bar = stack.enter_context(Progress(len(todo), unit="episodes", file=sys.stderr))
-        environments = [EcoDrivingEnv(config=env, simulator=name) for name in (SIMULATORS if todo else ())]
+        environments = [EcoDrivingEnv(config=env, simulator=name) for name in SIMULATORS]
         for each in environments:
             stack.callback(each.close)
-        for number, key in enumerate(todo, 1):
-            named, context = plays[key]
-            sumo, twin = (Watched(each, named.policy, context, key[-1]) for each in environments)
-            kept.add([{**dict(zip(KEY, key, strict=True)), **_about(context), **compared(sumo, twin, env.hold_steps)}])
-            bar.update(number, context.name)
-    return [row for row in kept.rows if tuple(row[name] for name in KEY) in plays]
-
-
-def _about(context: Context) -> dict[str, Any]:
-    road = read_road(build_net(context.intersection))
-    lanes = [int(road.lane_count[road.approaches.index(leg)]) for leg in context.demand_approaches]
-    demand = "all" if context.approach is None else "one"
-    return {"context": context.name, "adoption": context.adoption, "demand": demand, "lanes": max(lanes)}
+        return kept.fill(KEY, plays, compare)
 
 
 def ks_distance(one: np.ndarray, other: np.ndarray) -> float | None:

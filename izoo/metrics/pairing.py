@@ -25,7 +25,7 @@ CONTEXT = ["train_seed", "context_hash"]
 
 
 def simulators(table: pd.DataFrame) -> list[str]:
-    """Return what played a table, the one that played most episodes first; of two that played as many, the reference."""
+    """Return what played a table, the one with most episodes first; of two with as many, the reference."""
     episodes = table.drop_duplicates(["policy", "train_seed", "simulator", "context_hash", "seed"])
     counts = episodes["simulator"].value_counts()
     return sorted(counts.index, key=lambda name: (-counts[name], name != REFERENCE))

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Sequence
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pandas as pd
 
+from izoo.console import Progress
 from izoo.errors import IzooError
 from izoo.files import read_text, write_text
 
 Row = dict[str, Any]
+Key = tuple[Any, ...]
+Of = TypeVar("Of")
 
 
 class RowsFile:
@@ -79,6 +83,24 @@ class RowsFile:
         if self.path is not None:
             with self.path.open("a", encoding="utf-8", newline="") as file:
                 file.write(self._lines(rows, header=not file.tell()))
+
+    def fill(self, key: Sequence[str], wanted: Mapping[Key, Of], make: Callable[[Key, Of], Sequence[Row]]) -> list[Row]:
+        """Return the rows of what is wanted; those of what the file lacks are made, and kept group by group.
+
+        Args:
+            key: the columns that tell groups apart.
+            wanted: what each group is made from, by the values of these columns.
+            make: ``(values, what it is made from)`` to the group's rows without these columns; there may be none.
+        """
+        there = {tuple(row[name] for name in key) for row in self.rows}
+        todo = {values: of for values, of in wanted.items() if values not in there}
+        with Progress(len(todo), unit="groups of rows", file=sys.stderr) as bar:
+            for number, (values, of) in enumerate(todo.items(), 1):
+                rows = [{**dict(zip(key, values, strict=True)), **row} for row in make(values, of)]
+                if rows:
+                    self.add(rows)
+                bar.update(number)
+        return [row for row in self.rows if tuple(row[name] for name in key) in wanted]
 
     def replace(self, rows: Iterable[Row]) -> None:
         """Write the file anew with these rows."""
