@@ -10,7 +10,7 @@ import functools
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import torch
 
@@ -42,26 +42,10 @@ from izoo.training import checkpoint, run_folder
 from izoo.training.option_checks import check_options
 from izoo.zoo import catalog
 
+if TYPE_CHECKING:
+    from izoo.benchmarks.campaign.__main__ import CampaignConfig
+
 ROLES = ("train", "validation", "test")
-
-
-@dataclasses.dataclass(frozen=True)
-class Machine:
-    """Where and how a campaign runs; nothing here changes its numbers.
-
-    Attributes:
-        dataset: folder of the measured intersections.
-        threads: of the twin.
-        num_workers: processes that play SUMO.
-        runs_at_once: training runs that learn at the same time.
-        cache: folder of the baselines' episodes; ``None``: the user's.
-    """
-
-    dataset: str | None = None
-    threads: int | None = None
-    num_workers: int = 2
-    runs_at_once: int = 1
-    cache: str | None = None
 
 
 class Job(NamedTuple):
@@ -83,13 +67,13 @@ class PartRun:
         experiment: which it is of.
         name: of the part.
         folder: of the campaign.
-        machine: how to run.
+        machine: the campaign's options, of which those count that say how to run.
 
     Raises:
         IzooError: the experiment names something that cannot be used.
     """
 
-    def __init__(self, experiment: Experiment, name: str, folder: Path, machine: Machine) -> None:
+    def __init__(self, experiment: Experiment, name: str, folder: Path, machine: CampaignConfig) -> None:
         self.name, self.folder, self.machine = name, folder / name, machine
         self.experiment = experiment
         self.part, self.entries = experiment.parts[name], experiment.entries_of(name)
