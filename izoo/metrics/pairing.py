@@ -84,7 +84,7 @@ def pair(table: pd.DataFrame, policy: str, baseline: str) -> Paired:
     return Paired(*(part[kept].reset_index(drop=True) for part in (_contexts(rows), own, beside)))
 
 
-def by_intersection(contexts: pd.DataFrame, values: Array) -> tuple[Array, list[str], int]:
+def by_intersection(contexts: pd.DataFrame, values: Array) -> tuple[Array, int]:
     """Pool a figure's values by intersection, over the contexts that every training seed has a value in.
 
     Args:
@@ -92,11 +92,10 @@ def by_intersection(contexts: pd.DataFrame, values: Array) -> tuple[Array, list[
         values: ``[N]``, one per row of it.
 
     Returns:
-        ``[S, I]`` values, the names of the intersections, and the number of contexts.
+        ``[S, I]`` values, and the number of contexts.
     """
     matrix = context_matrix(contexts, values)
-    places = intersections_of(contexts, matrix.columns)
-    return pooled(matrix.to_numpy(), places), list(dict.fromkeys(places)), matrix.shape[1]
+    return pooled(matrix.to_numpy(), intersections_of(contexts, matrix.columns)), matrix.shape[1]
 
 
 def intersections_of(contexts: pd.DataFrame, keys: pd.Index) -> list[str]:

@@ -242,8 +242,8 @@ def _against(paired: Paired, rows: pd.DataFrame, name: str, baseline: str) -> Su
     for kind, chosen in _blocks(paired.contexts).items():
         contexts = paired.contexts[chosen]
         pools = {key: by_intersection(contexts, value[chosen]) for key, value in values.items()}
-        saved, _, n = pools["co2_saved"]
-        figures = {key: estimate(pool) for key, (pool, *_) in pools.items()}
+        saved, n = pools["co2_saved"]
+        figures = {key: estimate(pool) for key, (pool, _) in pools.items()}
         if paired.contexts["intersection"].nunique() == 1:
             over_episode_seeds(rows[rows["context_hash"].isin(contexts["context_hash"])], name, baseline, figures)
         found[kind] = {
@@ -286,7 +286,7 @@ def _gaps(test: Pairs, training: Pairs, block: str) -> Summary:
         if not (test[name] and training[name]):
             continue
         sides = [next(iter(pairs[name].values())) for pairs in (training, test)]
-        (there, *_), (here, *_) = (by_intersection(*_saved(paired, block)) for paired in sides)
+        (there, _), (here, _) = (by_intersection(*_saved(paired, block)) for paired in sides)
         if there.size and here.size and len(there) == len(here):
             gap = separate_difference(there, here)
             found[name] = {"training": estimate(there).to_dict(), "gap": gap.to_dict()}

@@ -105,16 +105,6 @@ def test_how_a_queue_leaves(road: RoadNet) -> None:
     assert math.isnan(rates(dict.fromkeys(COUNTS, 0.0))["start_up_lag_s"])
 
 
-def test_asking_changes_no_count(road: RoadNet) -> None:
-    at_s = dict(enumerate([73.0, 75.5, 77.5, 79.0, 81.0, 83.5]))
-    driving = DrivingStatistics()
-    for time_s in np.arange(70.0, 90.0, 0.5).tolist():
-        driving.add(scene(road, time_s, dict.fromkeys(at_s, TO_C), leaving(at_s, time_s)))
-        if time_s == 80.0:  # four have left
-            assert driving.counts()["queues"] == 1 and driving.counts()["headways"] == 0
-    assert (driving.counts()["queues"], driving.counts()["headways"]) == (1, 2)
-
-
 def test_later_vehicles_are_not_of_the_queue(road: RoadNet) -> None:
     at_s = {0: 73.0, 1: 75.5, 2: 120.0}  # the third waits for the next green
     moments = [(time_s, leaving(at_s, time_s)) for time_s in np.arange(70.0, 125.0, 0.5).tolist()]

@@ -10,7 +10,6 @@ import torch
 
 from izoo.benchmarks import planner
 from izoo.benchmarks.planner import PlannerConfig
-from izoo.cli import compose
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import TwinEnv
 from izoo.envs.config import EnvConfig
@@ -25,10 +24,6 @@ ENV = EnvConfig(horizon_s=260.0, num_agents=24, num_vehicles=96)
 
 def options(**changes: object) -> PlannerConfig:
     return PlannerConfig(**{"env": ENV, "threads": 1, "look_ahead_s": 60.0, "every_s": 5.0, **changes})  # type: ignore[arg-type]
-
-
-def test_yaml_equals_the_dataclass() -> None:
-    assert compose.compose_config(PlannerConfig, []) == PlannerConfig()
 
 
 @pytest.mark.slow

