@@ -8,18 +8,17 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from izoo.benchmarks.fidelity.driving_statistics import COUNTS, rates
 from izoo.benchmarks.fidelity.trajectory_diff import COUNTED
 from izoo.envs import SIMULATORS
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
-from izoo.files import replacing
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import HUMAN
 from izoo.metrics.summary import summarise
 from izoo.report.tables import Table
 from izoo.results.rows_file import Row
+from izoo.training.plots import PALETTE, QUIET, Chart, Series, draw, save
 
 RELATIVE, ABSOLUTE = ("co2_g", "throughput"), ("delay_s",)
 """Figures that are compared per approach: by their relative difference, or by their difference."""
@@ -277,20 +276,12 @@ def _written(value: Any, form: str) -> str:
 
 def plot(table: pd.DataFrame, path: Path, title: str) -> None:
     """Draw the CO2 of every approach on the twin against that in SUMO, a panel per policy."""
-    policies: Sequence[str] = list(table["policy"].unique())
-    figure = Figure(figsize=(3.6 * len(policies), 4.2), layout="constrained")
-    for axes, policy in zip(figure.subplots(1, len(policies), squeeze=False)[0], policies, strict=True):
-        group = table[table["policy"] == policy]
-        largest = 1.05 * float(np.nanmax(group[["co2_g_sumo", "co2_g_other"]].to_numpy(float), initial=1.0))
-        axes.fill_between([0, largest], [0, 0.95 * largest], [0, 1.05 * largest], color="#e2e8f0", label="within 5 %")
-        for one_lane, colour, label in ((True, "#2b6cb0", "one lane"), (False, "#c05621", "several lanes")):
-            chosen = group[(group["lane_count"] == 1) == one_lane]
-            axes.scatter(chosen["co2_g_sumo"], chosen["co2_g_other"], s=12, color=colour, alpha=0.7, label=label)
-        axes.set(xlim=(0, largest), ylim=(0, largest), title=policy, xlabel="SUMO: CO2 per vehicle (g)")
-        axes.set_aspect("equal")
-        axes.spines[["top", "right"]].set_visible(False)
-    figure.axes[0].set_ylabel("twin: CO2 per vehicle (g)")
-    figure.suptitle(title, fontsize=11)
-    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
-    with replacing(path) as partial:
-        figure.savefig(partial, dpi=150, format="png")
+    charts = []
+    for policy, group in table.groupby("policy", sort=False):
+        ends = np.array([0.0, np.nanmax(group[["co2_g_sumo", "co2_g_other"]].to_numpy(float), initial=1.0)])
+        marks = [Series(ends, ends, "", "band", 0.95 * ends, 1.05 * ends, QUIET)]
+        for several, (colour, name) in enumerate(zip(PALETTE, ("one lane", "several lanes"), strict=False)):
+            of = group[(group["lane_count"] > 1) == bool(several)]
+            marks.append(Series(of["co2_g_sumo"], of["co2_g_other"], name, "points", colour=colour))
+        charts.append(Chart("", str(policy), marks, "SUMO: CO2 per vehicle (g), 5 % shaded", "twin"))
+    save(draw(charts, title), path)
