@@ -46,7 +46,7 @@ class RowsFile:
         self.rows: list[Row] = []
 
     def read(self, mend: bool = True) -> RowsFile:
-        """Read what is there, and with ``mend`` remove a group that was cut short from the file.
+        """Read what is there, and with ``mend`` write the file anew where a group was cut short or columns differ.
 
         Raises:
             IzooError: the file cannot be read, or lacks columns.
@@ -64,16 +64,16 @@ class RowsFile:
             )
         except (OSError, ValueError) as error:
             raise IzooError(f"cannot read {self.path}: {str(error).splitlines()[0]}; choose another folder.") from error
-        absent = [column for column in self.columns if column not in raw]
-        missing = [column for column in absent if column not in self.optional]
+        missing = [column for column in self.columns if column not in raw and column not in self.optional]
         if missing:
             raise IzooError(
                 f"{self.path} lacks the column(s) {', '.join(missing)}: another version of izoo wrote it; choose "
                 "another folder."
             )
+        as_written = tuple(raw.columns) == self.columns and text.endswith("\n\n")
         raw = raw.reindex(columns=list(self.columns)).astype(object)
         self.rows = raw.where(raw.notna(), None).to_dict("records")
-        if mend and (absent or not text.endswith("\n\n")):
+        if mend and not as_written:
             self.replace(self.rows)
         return self
 
