@@ -6,7 +6,6 @@ import base64
 import dataclasses
 import gzip
 import json
-import math
 from collections.abc import Callable, Sequence
 from importlib import resources
 from pathlib import Path
@@ -122,7 +121,7 @@ def render(results: Results, *, replay: bool = True, imports: bool = False, note
         lost=lost,
         style=_asset("style.css"),
         script="\n".join(_asset(name) for name in SCRIPTS),
-        content=_pack(_json(content)),
+        content=_pack(json.dumps(content, separators=(",", ":"), allow_nan=False).encode()),
         replays=[base64.b64encode(packed).decode() for _, packed in played],
     )
 
@@ -222,16 +221,3 @@ def _asset(name: str) -> str:
 
 def _pack(content: bytes) -> str:
     return base64.b64encode(gzip.compress(content, 9, mtime=0)).decode()
-
-
-def _json(content: Any) -> bytes:
-    """JSON without NaN, which JSON does not have."""
-    return json.dumps(_plain(content), separators=(",", ":"), allow_nan=False).encode()
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -26,6 +26,7 @@ from izoo.results.policies import as_policy
 from izoo.results.rows_file import RowsFile
 from izoo.results.schema import COLUMNS, make_table
 from izoo.results.selection import EpisodeSeeds
+from tests.metrics.tables import episode_row
 from tests.networks.test_dataset import write
 
 
@@ -33,10 +34,9 @@ def episode(
     policy: str, approach: str, seed: int, co2_g: float, cohort: float = 10.0, lanes: int = 1, adoption: float = 0.5
 ) -> dict[str, Any]:
     """Return a row in which every vehicle of the cohort crosses and leaves, and burns ``co2_g``."""
-    about = {"policy": policy, "context": "c", "context_hash": f"h{adoption}", "approach": approach, "seed": seed}
-    about |= {"adoption": adoption, "demand": "all", "simulator": "sumo", "train_seed": 0, "intersection": approach}
-    sums = {"cohort": cohort, "cohort_left": cohort, "crossed": cohort, "cohort_region_co2_g": co2_g * cohort}
-    return {**dict.fromkeys(COLUMNS, 0.0), **about, **sums, "lane_count": lanes, "task": ""}
+    made = episode_row(co2_g, 0.0, policy=policy, approach=approach, seed=seed, cohort=cohort, demand="all")
+    made |= {"context": "c", "context_hash": f"h{adoption}", "intersection": approach, "adoption": adoption}
+    return dict.fromkeys(COLUMNS, 0.0) | made | {"lane_count": lanes}
 
 
 def rows(*episodes: dict[str, Any]) -> pd.DataFrame:
