@@ -90,7 +90,6 @@ def by_group(table: pd.DataFrame, by: Sequence[str] = GROUP) -> pd.DataFrame:
                 "co2_mean_abs": float(co2.abs().mean()),
                 "co2_bias": float(co2.mean()),
                 "co2_median_abs": float(co2.abs().median()),
-                "co2_worst": float(co2.abs().max()),
                 "co2_wide": int((co2.abs() > WIDE).sum()),
                 "co2_beyond": int((co2.abs() - own.fillna(0.0) > WIDE).sum()),
                 "co2_own": float(own.mean()),

@@ -1,6 +1,5 @@
 """From the sums that an environment emits to figures with intervals.
 
-- :mod:`~izoo.metrics.masked`: reductions over valid slots.
 - :mod:`~izoo.metrics.figures`: the registry: every figure that is shown, declared once.
 - :mod:`~izoo.metrics.pairing`: rows of a policy beside those of a baseline.
 - :mod:`~izoo.metrics.statistics`: the headline with its interval, differences, corrections.

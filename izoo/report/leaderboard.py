@@ -65,15 +65,10 @@ def schema() -> dict[str, Any]:
     return json.loads((resources.files("izoo.report") / SCHEMA_FILE).read_text())
 
 
-def write_entries(folder: Path, out: Path | None = None) -> list[Path]:
-    """Write the file of every entry of a results folder; return their paths.
-
-    Args:
-        folder: what :mod:`izoo.results.store` keeps.
-        out: where to; ``None``: ``leaderboard`` in that folder.
-    """
+def write_entries(folder: Path) -> list[Path]:
+    """Write the file of every entry of a results folder into ``leaderboard`` there; return their paths."""
     table, manifest, written = read_table(folder), read_manifest(folder), []
-    out = out or folder / FOLDER
+    out = folder / FOLDER
     out.mkdir(parents=True, exist_ok=True)
     table = table[(table["task"] == manifest.task) & (table["simulator"] == simulators(table)[0])]
     for name in sorted(set(table["policy"]) - set(BASELINES)):

@@ -86,7 +86,7 @@ def varied(table: pd.DataFrame) -> list[str]:
     return found or ["algo.name"]
 
 
-def report(folder: Path, console: Console | None = None, imports: bool = False) -> Path:
+def report(folder: Path, imports: bool = False) -> Path:
     """Print the table of the sweep in ``folder``; write it and the learning curves there; return the choices' file.
 
     The table has a row per choice: the varied options, ``runs``, ``finished``, the mean of each of :data:`MEASURES`
@@ -112,7 +112,7 @@ def report(folder: Path, console: Console | None = None, imports: bool = False) 
     names = [
         f"{k}: {', '.join(f'{o}={v}' for o, v in zip(options, of, strict=True))}" for k, of in enumerate(values, 1)
     ]
-    console = console or Console()
+    console = Console()
     _shown(choices, names).show(console)
     for run in table[table["state"] != "finished"].itertuples():
         console.print(f"  {run.run}: {run.state}, {run.frames:,} frames", highlight=False, markup=False)
