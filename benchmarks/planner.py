@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
     from izoo.envs import TwinEnv
-    from izoo.metrics.summary import Summary
 
 PLANNER, BESIDE = "planner", ("human", "uncommanded", "cap_0.6", "glide")
 AT_ONCE = 16
@@ -110,8 +109,9 @@ def run(config: PlannerConfig) -> pd.DataFrame:
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
     from izoo.cores import usable_cores
     from izoo.files import write_json
+    from izoo.metrics.pairing import UNCOMMANDED
     from izoo.metrics.summary import summarise
-    from izoo.report.tables import headline
+    from izoo.report.tables import SAVED, details, figure_cell, headline
     from izoo.results.rollout import play_policy
     from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts
     from izoo.results.store import Store
@@ -135,9 +135,12 @@ def run(config: PlannerConfig) -> pd.DataFrame:
     found = {task: summarise(table[table["task"] == task]) for task in tasks.values()}
     if folder is not None:
         write_json(folder / "summary.json", list(found.values()))
-    for summary in found.values() if config.verbose else ():
-        headline(summary).show()
-    print_gains(table, found)
+    for summary in found.values():
+        for shown in [headline(summary), *(details(summary) if config.verbose else ())]:
+            shown.show()
+    gains = {task: figure_cell(of["entries"][PLANNER], SAVED, UNCOMMANDED, of["block"]) for task, of in found.items()}
+    said = ", ".join(f"{gain} with {task}" for task, gain in gains.items())
+    print(f"The planner saves {said}; it tries one CV at a time, so more may be there to gain.")
     return table
 
 
@@ -238,30 +241,6 @@ class Planner:
         accel, defer = self.cap.command(seen, advice)
         state.set(("agents", "action"), accel.unsqueeze(-1))
         return state.set(("agents", "defer"), defer)
-
-
-def print_gains(table: pd.DataFrame, found: Mapping[str, Summary]) -> None:
-    """Print what glide and the planner save over uncommanded CVs, by share of CVs and lanes, and say it in words."""
-    from izoo.metrics.pairing import UNCOMMANDED
-    from izoo.metrics.summary import summarise
-    from izoo.report.tables import Cell, Table, figure_cell
-
-    def gained(summary: Summary, name: str, key: str = "co2_saved") -> Cell:
-        return figure_cell(summary["entries"][name], key, UNCOMMANDED, summary["block"])
-
-    figures = [(name, key) for name in ("glide", PLANNER) for key in ("co2_saved", "delay_change_s")]
-    rows, said = [], []
-    for task, whole in found.items():
-        part = table[table["task"] == task]
-        said.append(f"{gained(whole, PLANNER)} with {task}")
-        for kind, lanes in (("one lane", part["lane_count"] <= 1), ("several lanes", part["lane_count"] > 1)):
-            if lanes.any():
-                summary = summarise(part[lanes])
-                cells = (gained(summary, name, key) for name, key in figures)
-                rows.append((f"{task}, {kind}", summary["n"]["contexts"], *cells))
-    columns = ("share of CVs", "contexts", "glide saves", "delay", "planner saves", "delay")
-    Table.of("What there is to gain: CO2 saved and delay added, over uncommanded CVs", columns, rows).show()
-    print(f"The planner saves {', '.join(said)}; it tries one CV at a time, so more may be there to gain.")
 
 
 COMMAND = OptionCommand(

@@ -24,6 +24,7 @@ from gymnasium.envs.registration import register
 from izoo.envs.model_version import MODEL_VERSION
 from izoo.errors import check_choice
 from izoo.imports import imported
+from izoo.metrics import REFERENCE
 
 if TYPE_CHECKING:
     from izoo.envs.config import EnvConfig, RewardConfig
@@ -94,10 +95,13 @@ SIMULATORS = {
     ),
 }
 """Every simulator by its name; a further one is a line here, and a folder beside ``envs/sumo``."""
+<<<<<<< HEAD
 REFERENCE = "sumo"
 """The one whose results count."""
 COMPILED = "twin"
 """Its compiled copy, on which presets and tasks train."""
+=======
+>>>>>>> table2
 
 
 def simulator_of(name: str, option: str = "simulator") -> Simulator:

@@ -17,6 +17,8 @@ import yaml
 from izoo import __main__ as izoo
 from izoo import collect, console, evaluate, train
 from izoo.algos.learners.ddpg import DDPGConfig
+from izoo.benchmarks.planner import PlannerConfig
+from izoo.benchmarks.twin import FidelityConfig
 from izoo.cli.compose import compose_config
 from izoo.conf.choices import groups
 from izoo.conf.context_choices import DatasetContexts, PcgContexts
@@ -26,7 +28,7 @@ from izoo.envs import RewardConfig
 from izoo.results.store import read_manifest
 
 
-@pytest.mark.parametrize("cls", [TrainConfig, CollectConfig])
+@pytest.mark.parametrize("cls", [TrainConfig, CollectConfig, PlannerConfig, FidelityConfig])
 def test_without_words_options_have_their_defaults(cls: type) -> None:
     assert compose_config(cls, []) == cls()
 

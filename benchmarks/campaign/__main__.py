@@ -67,7 +67,7 @@ def run(config: CampaignConfig) -> Path:
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
     from izoo.benchmarks.campaign import summing_up
     from izoo.benchmarks.campaign.experiment import read_experiment
-    from izoo.benchmarks.campaign.jobs import Machine, PartRun, reads_folder
+    from izoo.benchmarks.campaign.jobs import PartRun, reads_folder
     from izoo.errors import unknown_choice
     from izoo.files import write_text
     from izoo.report.tables import FIRST_ROWS
@@ -77,13 +77,12 @@ def run(config: CampaignConfig) -> Path:
     for name in config.parts:
         if name not in experiment.parts:
             raise unknown_choice("parts", name, experiment.parts)
-    machine = Machine(config.dataset, config.threads, config.num_workers, config.runs_at_once, config.cache)
     runs, left_out = [], []
     for name in experiment.parts:
         if config.dataset is None and reads_folder(experiment.parts[name].task):
             left_out.append(f"Part {name} needs dataset=FOLDER, and is left out.")
         elif not config.parts or name in config.parts:
-            runs.append(PartRun(experiment, name, folder, machine))
+            runs.append(PartRun(experiment, name, folder, config))
     texts, said = [], []
     for each in runs:
         if config.play:

@@ -50,21 +50,6 @@ def test_the_cores_are_shared_out() -> None:
 
 
 @pytest.mark.slow
-def test_runs_learn_beside_each_other_and_make_room_when_they_end(tmp_path: Path) -> None:
-    with ParallelRuns(2) as beside:
-        for seed in (0, 1):
-            assert beside.has_room
-            beside.begin(seed, *order(tmp_path, f"seed{seed}", 200, f"seed={seed}"))
-        assert not beside.has_room and len(beside.going) == 2 and 0 in beside and 2 not in beside
-        wait_until(lambda: beside.is_done(0) and beside.is_done(1), "two runs of 200 frames")
-        assert beside.has_room
-    for seed in (0, 1):
-        assert checkpoint.listed(tmp_path / f"seed{seed}")
-        assert run_folder.read_config(tmp_path / f"seed{seed}").seed == seed
-        assert "Run folder: " in (tmp_path / f"seed{seed}.log").read_text()
-
-
-@pytest.mark.slow
 def test_a_run_that_fails_says_why_and_the_others_close_in_good_order(tmp_path: Path) -> None:
     long = tmp_path / "long"
     (tmp_path / "taken").mkdir()
