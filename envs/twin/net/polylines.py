@@ -117,8 +117,8 @@ class Polylines:
         }
 
     def _cells(self, shapes: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return, for each piece of each point's shape: number of the point, number of the piece, the share of the piece
-        up to where it is nearest, its distance (m) there; and the cell with which each point begins."""
+        """Return, for each piece of each point's shape: number of the point, number of the piece, its share up to where
+        it is nearest, its distance (m) there; and the cell with which each point begins."""
         query, cell = _spread(self._count[shapes])
         piece = self._first[shapes][query] + cell
         begin, step, point = self._begin[piece], self._step[piece], points[query]
