@@ -60,17 +60,23 @@ class DirectAction:
 
     Attributes:
         name: the action mode.
+        low_mps2, high_mps2: range of the policy's action, in m/s^2. The environment clips it to -4.5 and 2.6, so in a
+            wider range, such as the paper's, a policy that explores brakes and accelerates fully more often.
     """
 
     name: Literal["direct"] = "direct"
+    low_mps2: float = ACTION_LOW_MPS2
+    high_mps2: float = ACTION_HIGH_MPS2
     sets: ClassVar[Mapping[str, Any]] = BY_STEP
 
     def __post_init__(self) -> None:
         check_types("action", self)
+        check_range("action.low_mps2", self.low_mps2, -100.0, -0.01, "m/s^2")
+        check_range("action.high_mps2", self.high_mps2, 0.01, 100.0, "m/s^2")
 
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
         """Return the algorithm that ``build`` makes."""
-        learned = build(config, features, ACTION_LOW_MPS2, ACTION_HIGH_MPS2)
+        learned = build(config, features, self.low_mps2, self.high_mps2)
         if not _stores_applied(config):
             return learned
         from izoo.algos.actions.executed_actions import ExecutedActions

@@ -82,8 +82,8 @@ class DDPGConfig(AlgoConfig):
             10,000; ours the whole run).
         hidden: widths of the hidden layers of each network (RLlib, Lillicrap 400, 300; ours 128, 128).
         activation: ``relu`` (RLlib, Lillicrap), ``tanh`` or ``silu``.
-        initial_accel_mps2: acceleration of the untrained actor (RLlib: middle of the range, -0.95; ours 0.5). With
-            ``action=advise`` or ``residual`` the untrained action is 0 instead.
+        initial_accel_mps2: acceleration of the untrained actor; ``null``: the middle of the range (RLlib: that; ours
+            0.5). With ``action=advise`` or ``residual`` the untrained action is 0 instead.
         stores: what a transition holds as the action: ``commanded``, what the policy chose, or ``applied``, what came
             of it. The simulator's own driver may brake harder than a command asks, and then every such command does
             the same; ``applied`` stores the acceleration that the vehicle had, and of advice that changed nothing that
@@ -119,7 +119,7 @@ class DDPGConfig(AlgoConfig):
     noise_frames: int | None = None
     hidden: tuple[int, ...] = (128, 128)
     activation: Literal["tanh", "relu", "silu"] = "relu"
-    initial_accel_mps2: float = 0.5
+    initial_accel_mps2: float | None = 0.5
     stores: Literal["commanded", "applied"] = "commanded"
     save_replay: bool = True
 
@@ -180,7 +180,7 @@ class DDPGConfig(AlgoConfig):
             noise_final=0.02,
             noise_frames=10_000,
             hidden=(400, 300),
-            initial_accel_mps2=-0.95,
+            initial_accel_mps2=None,
         )
 
 
@@ -214,10 +214,11 @@ def make_actor(
 ) -> TensorDictModule:
     """Return the deterministic policy, for any number of agents or flat rows ``[*B, F]``; with
     ``point_mass``, its untrained action is 0."""
+    middle, half = (high + low) / 2, (high - low) / 2
     initial = config.initial_accel_mps2 if point_mass is None else 0.0
+    initial = middle if initial is None else initial
     check_range("algo.initial_accel_mps2", initial, low + 1e-3, high - 1e-3, "m/s^2")
     network = base.mlp(features, config.hidden, size, config.activation, last_gain=0.01)
-    middle, half = (high + low) / 2, (high - low) / 2
     with torch.no_grad():
         network[-1].bias[:] = math.atanh((initial - middle) / half)  # type: ignore[operator, index]
     squashed = nn.Sequential(network, Squash(low, high))

@@ -83,9 +83,9 @@ class PPOConfig(AlgoConfig):
             the first batch (Andrychowicz: of all observations so far; RLlib and ours: not).
         hidden: widths of the hidden layers of each of the two networks (RLlib 256, 256; ours 128, 128).
         activation: ``tanh`` (RLlib, Andrychowicz), ``relu`` or ``silu``.
-        initial_accel_mps2: median acceleration of the untrained policy. Vehicles that hardly accelerate block the road,
-            and vehicles at full throttle learn slowly to do less (RLlib: middle of the range, -0.95; ours 0.5). With
-            ``action=advise`` or ``residual`` the untrained action is 0 instead.
+        initial_accel_mps2: median acceleration of the untrained policy; ``null``: the middle of the range. Vehicles
+            that hardly accelerate block the road, and vehicles at full throttle learn slowly to do less (RLlib: the
+            middle; ours 0.5). With ``action=advise`` or ``residual`` the untrained action is 0 instead.
         initial_spread: standard deviation of the untrained policy before the tanh (RLlib 1; ours 0.35, about 1 m/s^2).
             With ``action=advise`` or ``residual`` it is ``action.spread`` instead.
     """
@@ -119,7 +119,7 @@ class PPOConfig(AlgoConfig):
     standardise: bool = False
     hidden: tuple[int, ...] = (128, 128)
     activation: Literal["tanh", "relu", "silu"] = "tanh"
-    initial_accel_mps2: float = 0.5
+    initial_accel_mps2: float | None = 0.5
     initial_spread: float = 0.35
 
     def __post_init__(self) -> None:
@@ -224,7 +224,7 @@ class PPOConfig(AlgoConfig):
             max_grad_norm=None,
             reward_scale=1.0,
             hidden=(256, 256),
-            initial_accel_mps2=-0.95,
+            initial_accel_mps2=None,
             initial_spread=1.0,
         )
 

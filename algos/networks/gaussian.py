@@ -25,7 +25,7 @@ def normal_parameters(
     last: nn.Linear,
     low: float,
     high: float,
-    initial_accel_mps2: float,
+    initial_accel_mps2: float | None,
     initial_spread: float,
     point_mass: PointMass | None = None,
 ) -> NormalParamExtractor:
@@ -34,15 +34,16 @@ def normal_parameters(
     Args:
         last: the network's last layer, with zero biases; its bias is set so that the untrained median is as wanted.
         low, high: bounds of the action: an acceleration in m/s^2, or a share of the speed limit.
-        initial_accel_mps2: median action of the untrained policy.
+        initial_accel_mps2: median action of the untrained policy; ``None``: the middle of the range.
         initial_spread: its standard deviation before the tanh.
         point_mass: replaces the last two; the untrained median is then the action 0.
     """
     if point_mass is not None:
         return NormalParamExtractor(scale_mapping=f"biased_softplus_{point_mass.spread}", scale_lb=0.01)
-    check_range("algo.initial_accel_mps2", initial_accel_mps2, low + 1e-3, high - 1e-3, "m/s^2")
-    with torch.no_grad():
-        last.bias[: last.out_features // 2] = math.atanh((2.0 * initial_accel_mps2 - high - low) / (high - low))
+    if initial_accel_mps2 is not None:
+        check_range("algo.initial_accel_mps2", initial_accel_mps2, low + 1e-3, high - 1e-3, "m/s^2")
+        with torch.no_grad():
+            last.bias[: last.out_features // 2] = math.atanh((2.0 * initial_accel_mps2 - high - low) / (high - low))
     return NormalParamExtractor(scale_mapping=f"biased_softplus_{initial_spread}", scale_lb=0.01)
 
 

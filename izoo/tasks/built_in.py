@@ -95,7 +95,7 @@ def _paper_form(task: Task) -> Task:
         + (", trained and tested on all intersections" if whole != roles else ""),
         learns="the paper reports PPO and DDPG; not reproduced",
         env=dataclasses.replace(task.env.with_accelerations(), reward=RewardConfig.paper()),
-        action=DirectAction(),
+        action=DirectAction(low_mps2=-20.0, high_mps2=10.0),
         **whole,
     )
 
