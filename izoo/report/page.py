@@ -44,6 +44,8 @@ FEATURES = {
     "grade": "road grade (rise over run)",
 }
 """Features that CO2 saved is drawn against; those that do not vary are left out by the page."""
+FIRST_COLUMNS = ("context", "policy", "test", SAVED, plots.DELAY, "co2_g", "delay_s")
+"""Columns of the table of contexts that are shown before others are asked for."""
 Note = Callable[[str], None]
 
 
@@ -183,7 +185,7 @@ def _columns(several: bool) -> list[dict[str, Any]]:
     """Columns of the table of contexts: names, every figure, features, counts."""
 
     def column(key: str, label: str, digits: int | None = None, meaning: str = "") -> dict[str, Any]:
-        return {"key": key, "label": label, "digits": digits, "meaning": meaning}
+        return {"key": key, "label": label, "digits": digits, "meaning": meaning, "more": key not in FIRST_COLUMNS}
 
     found = [column("context", "context"), column("policy", "policy")]
     found += [column("test", "evaluation")] if several else []
