@@ -55,7 +55,8 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
     out = Path(config.out)
     shipped = zoo.named(config.policy)
     if shipped:
-        env = with_given(zoo.load(shipped).env, config.env, given, "env")
+        env = dataclasses.replace(zoo.load(shipped).env, emit=config.env.emit)
+        env = with_given(env, config.env, given, "env")
         config = dataclasses.replace(config, env=env)
     policy = make_policy(config)
     source = config.contexts.build()
