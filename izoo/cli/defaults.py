@@ -36,10 +36,13 @@ def of_run(named: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def of_policies(named: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the environment of the policies that ship, or were exported, among those that are named."""
+    """Return the environment of the policies that ship, or were exported, among those that are named.
+
+    Which groups are emitted is not theirs to say.
+    """
     policies = named.get("policies", [named.get("policy", "")])
     found = [zoo.load(name).env for policy in policies if (name := catalog.named(str(policy)))]
-    return {"env": found[-1]} if found else {}
+    return {"env": {name: value for name, value in to_mapping(found[-1]).items() if name != "emit"}} if found else {}
 
 
 def of_evaluation(named: Mapping[str, Any]) -> dict[str, Any]:

@@ -56,7 +56,7 @@ def evaluate(config: EvaluateConfig) -> Path:
         seeds = EpisodeSeeds(tasks.TEST_SEED + config.seed, config.seeds)
     out = Path(config.out) if config.out else subject.folder / EVALUATIONS / _label(subject, config, contexts)
     where = f" on {simulator_of(config.simulator).label}"
-    what = f"contexts={subject.contexts.name}, {describe(contexts, seeds, subject.env)}"
+    what = f"{_task(config)}, {describe(contexts, seeds, subject.env)}"
     print(f"Evaluating {subject.name}{where}: {what}. Results: {out}", flush=True)
     size = len(source) if isinstance(source, Sized) else len(contexts)
     if size > len(contexts):
@@ -123,7 +123,9 @@ def _task(config: EvaluateConfig) -> str:
     """Name what is tested: a task, and in what it was changed; or the contexts, their place and split."""
     contexts = config.contexts
     if config.task is None:
-        parts = [contexts.name, getattr(contexts, "city", None), getattr(contexts, "split", None)]
+        cities = getattr(contexts, "city", "")
+        place = "all ten" if cities is None else cities if isinstance(cities, str) else "+".join(cities)
+        parts = [contexts.name, place, getattr(contexts, "split", None)]
         return " ".join(str(part) for part in parts if part)
     task = tasks.make(config.task)
     whole = to_mapping(task.test)

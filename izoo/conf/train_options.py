@@ -358,7 +358,7 @@ class CollectConfig(RolloutConfig):
         frames: environment steps to store.
         out: a new or empty folder for the data.
         contexts: which contexts episodes are drawn from.
-        env: the environment, and with ``env.emit`` what is stored.
+        env: the environment, and with ``env.emit`` what is stored besides the agents.
         shard_frames: most steps per shard, a set of memory-mapped files.
         twin: how the twin runs.
     """
@@ -367,7 +367,7 @@ class CollectConfig(RolloutConfig):
     frames: int = 10_000
     out: str | None = None
     contexts: ContextsConfig = field(default_factory=PcgContexts)
-    env: EnvConfig = field(default_factory=EnvConfig)
+    env: EnvConfig = field(default_factory=lambda: EnvConfig(emit=()))
     shard_frames: int = 100_000
     twin: TwinConfig = field(default_factory=TwinConfig)
 

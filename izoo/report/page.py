@@ -33,6 +33,8 @@ SCRIPTS = ("common.js", "features.js", "table.js", "replay.js")
 REPLAY_POLICIES = 6
 REPLAY_BYTES = 4_000_000
 """Replays beyond this many bytes in all are left out, so that the page stays small enough to send."""
+FIRST_COLUMNS = ("context", "policy", "test", SAVED, plots.DELAY, "co2_g", "delay_s")
+"""Columns of the table of contexts that are shown before others are asked for."""
 Note = Callable[[str], None]
 
 
@@ -172,7 +174,7 @@ def _columns(several: bool) -> list[dict[str, Any]]:
     """Columns of the table of contexts: names, every figure, features, counts."""
 
     def column(key: str, label: str, digits: int | None = None, meaning: str = "") -> dict[str, Any]:
-        return {"key": key, "label": label, "digits": digits, "meaning": meaning}
+        return {"key": key, "label": label, "digits": digits, "meaning": meaning, "more": key not in FIRST_COLUMNS}
 
     found = [column("context", "context"), column("policy", "policy")]
     found += [column("test", "evaluation")] if several else []

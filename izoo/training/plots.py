@@ -256,7 +256,7 @@ def _draw_series(axes: Axes, series: Series, label: str, across: bool) -> None:
     if ends is not None:
         known = np.isfinite(ends).all(0)
         lines = axes.hlines if across else axes.vlines
-        lines((y if across else x)[known], *ends[:, known], color=series.colour, alpha=0.6, linewidth=1.5)
+        lines((y if across else x)[known], *ends[:, known], color=series.colour, linewidth=1.5)
     if series.kind == "points":
         axes.plot(x, y, "o", **style)
         for place in zip(x, y, series.text or (), strict=False):

@@ -19,7 +19,7 @@ from izoo.errors import UnfinishedError
 from izoo.processes import processor_s
 from izoo.training import checkpoint, loggers, plots, run_folder
 from izoo.training.baseline_episodes import BaselineComparison
-from izoo.training.batch_statistics import READS, episode_stats
+from izoo.training.batch_statistics import READS, episode_stats, unused_slots
 from izoo.training.collectors import BatchSource
 from izoo.training.environments import NUMBERS
 from izoo.training.final_evaluation import compare
@@ -87,6 +87,7 @@ class Session:
                     print(f"All {self.state.frames:,} frames are there: nothing is left to train.", flush=True)
                     self.state.load(None)
                 self._save()
+                self._say_unused_slots()
                 self._validate_last(interrupt)
                 self._plot()
             finally:
@@ -98,6 +99,11 @@ class Session:
             self._say_where_it_stopped()
             raise KeyboardInterrupt
         self._evaluate(show)
+
+    def _say_unused_slots(self) -> None:
+        most = max(self.table.series("most_agents")[1], default=0.0)
+        if words := unused_slots(int(most), self.config.env.num_agents):
+            print(words, flush=True)
 
     def _say_where_it_stopped(self) -> None:
         if self.state.batches == 0:
