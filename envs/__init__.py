@@ -95,13 +95,8 @@ SIMULATORS = {
     ),
 }
 """Every simulator by its name; a further one is a line here, and a folder beside ``envs/sumo``."""
-<<<<<<< HEAD
-REFERENCE = "sumo"
-"""The one whose results count."""
 COMPILED = "twin"
-"""Its compiled copy, on which presets and tasks train."""
-=======
->>>>>>> table2
+"""The reference's compiled copy, on which presets and tasks train."""
 
 
 def simulator_of(name: str, option: str = "simulator") -> Simulator:
