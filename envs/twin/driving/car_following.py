@@ -1,7 +1,7 @@
 """Car following: the intelligent driver model (IDM) in sub-steps, and braking for points and speed limits.
 
-Speeds in m/s, gaps in m, ``driver`` is a row of :attr:`~izoo.envs.twin.runtime.layout.TwinTraffic.floats`. Formulas:
-Treiber, Hennecke, Helbing (2000), discretised as SUMO does it (each found by probing, see the tests).
+Speeds in m/s, gaps in m, ``driver`` is a record of :attr:`~izoo.envs.twin.runtime.layout.TwinTraffic.drivers`.
+Formulas: Treiber, Hennecke, Helbing (2000), discretised as SUMO does it (each found by probing, see the tests).
 """
 
 from __future__ import annotations

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from typing import NamedTuple
-
-import numpy as np
 
 from izoo.envs.twin.driving.car_following import brake_gap, desired_speed, follow_speed, secure_gap
 from izoo.envs.twin.driving.lane_queues import last_tail, last_vehicle, rear_position
@@ -15,19 +12,6 @@ from izoo.envs.twin.driving.traffic_lights import is_major
 from izoo.envs.twin.junction.leaders import leader_in_conflict
 from izoo.envs.twin.net.conflicts import DIVERGING
 from izoo.envs.twin.runtime.compiled import compiled
-from izoo.envs.twin.runtime.layout import (
-    EDGE_CHANGES,
-    EDGE_FIRST_LANE,
-    EDGE_INSIDE,
-    EDGE_LANES,
-    LANE_LEFT,
-    LANE_LENGTH,
-    LANE_RIGHT,
-    LINK_FROM,
-    LINK_NEXT,
-    LINK_PROGRAM,
-    LINK_STATE,
-)
 
 _MAX_BRAKING_M = 1000.0
 _MAX_LANES_BEHIND = 32
@@ -45,33 +29,6 @@ class Neighbours(NamedTuple):
     target_leader_gap: float
     target_follower: int
     target_follower_gap: float
-
-
-def incoming_links_of(link_ints: np.ndarray, lane_count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return ``[L + 1]`` starts and the links that lead to each lane, both int32."""
-    target = link_ints[:, LINK_NEXT]
-    order = np.argsort(target, kind="stable").astype(np.int32)
-    return np.searchsorted(target[order], np.arange(lane_count + 1)).astype(np.int32), order
-
-
-def mark_lane_changing(
-    edge_ints: np.ndarray, lane_floats: np.ndarray, lane_ints: np.ndarray, link_ints: np.ndarray
-) -> None:
-    """Set ``EDGE_CHANGES``: 1 on edges on which vehicles may change lanes.
-
-    Inside junctions these are edges whose lanes are equally long and not behind a minor link without signal. There,
-    lanes that begin at the same lane are not neighbours.
-    """
-    edge_ints[:, EDGE_CHANGES] = edge_ints[:, EDGE_LANES] > 1
-    for edge in np.flatnonzero((edge_ints[:, EDGE_INSIDE] == 1) & (edge_ints[:, EDGE_LANES] > 1)):
-        lanes = edge_ints[edge, EDGE_FIRST_LANE] + np.arange(edge_ints[edge, EDGE_LANES])
-        links = link_ints[np.isin(link_ints[:, LINK_NEXT], lanes)]
-        minor = (links[:, LINK_PROGRAM] < 0) & np.isin(links[:, LINK_STATE], [ord(letter) for letter in "m=sw"])
-        edge_ints[edge, EDGE_CHANGES] = len(np.unique(lane_floats[lanes, LANE_LENGTH])) == 1 and not minor.any()
-        origin = {int(link[LINK_NEXT]): int(link[LINK_FROM]) for link in links}
-        for right, left in itertools.pairwise(lanes.tolist()):
-            if origin.get(right) == origin.get(left):
-                lane_ints[right, LANE_LEFT] = lane_ints[left, LANE_RIGHT] = -1
 
 
 @compiled

@@ -10,27 +10,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from izoo.envs.twin.driving.traffic_lights import LOWER_CASE, UPPER_CASE, is_major
 from izoo.envs.twin.net.tables import NetTables
 from izoo.envs.twin.runtime.compiled import compiled
-from izoo.envs.twin.runtime.layout import (
-    LANE_EDGE,
-    LANE_INSIDE,
-    LANE_LINKS,
-    LINK_NEXT,
-    LINK_PROGRAM,
-    LINK_SIGNAL,
-    LINK_STATE,
-    LINK_TO,
-    PHASE_STATE,
-    PROGRAM_FIRST_PHASE,
-    PROGRAM_PHASES,
-    Best,
-)
+from izoo.envs.twin.runtime.layout import Best
 from izoo.errors import IzooError
 
 MAX_CHECKED_LINKS = 12
@@ -61,15 +48,7 @@ class BestTables(NamedTuple):
     best: np.ndarray
 
 
-class Signals(NamedTuple):
-    """The signals of :class:`~izoo.envs.twin.runtime.layout.TwinNet`, by the same names."""
-
-    program_ints: np.ndarray
-    phase_ints: np.ndarray
-    phase_letters: np.ndarray
-
-
-def tabulate_best_lanes(net: NetTables, signals: Signals, route_edges: np.ndarray) -> BestTables:
+def tabulate_best_lanes(net: NetTables, route_edges: np.ndarray) -> BestTables:
     """Tabulate all variants of all routes ``route_edges`` ``[R, E]`` (-1: none).
 
     Raises:
@@ -81,7 +60,7 @@ def tabulate_best_lanes(net: NetTables, signals: Signals, route_edges: np.ndarra
     group = np.full((count, MAX_CHECKED_LINKS), -1, np.int32)
     bits: list[int] = []
     rows: list[_Row] = []
-    choices = _Choices(net, signals)
+    choices = _Choices(net)
     for route, padded in enumerate(route_edges.tolist()):
         edges = [edge for edge in padded if edge >= 0]
         checked, patterns = _patterns(net, choices, edges)
@@ -102,32 +81,27 @@ def tabulate_best_lanes(net: NetTables, signals: Signals, route_edges: np.ndarra
 class _Choices(dict[tuple[int, int], list[tuple[bool, ...]]]):
     """Which patterns of priorities the links from one edge to another show, each once."""
 
-    def __init__(self, net: NetTables, signals: Signals) -> None:
+    def __init__(self, net: NetTables) -> None:
         self.net = net
-        self.program_ints: list[list[int]] = signals.program_ints.tolist()
-        self.phase_ints: list[list[int]] = signals.phase_ints.tolist()
-        self.letters = signals.phase_letters.tobytes()
 
     def __missing__(self, edges: tuple[int, int]) -> list[tuple[bool, ...]]:
         links = [self.net.links[link] for link in self.net.links_between(*edges)]
         shown = [
             [_is_major(self._letter(link, program, phase)) for link in links]
-            for program in {link[LINK_PROGRAM] for link in links}
+            for program in {link.program for link in links}
             if program >= 0
             for phase in self._phases(program)
         ]
-        found = list(dict.fromkeys(map(_relevant_bits, shown or [[_is_major(link[LINK_STATE]) for link in links]])))
+        found = list(dict.fromkeys(map(_relevant_bits, shown or [[_is_major(link.state) for link in links]])))
         self[edges] = found
         return found
 
-    def _phases(self, program: int) -> range:
-        first = self.program_ints[program][PROGRAM_FIRST_PHASE]
-        return range(first, first + self.program_ints[program][PROGRAM_PHASES])
+    def _phases(self, program: int) -> list[Any]:
+        first = self.net.programs[program].first_phase
+        return self.net.phases[first : first + self.net.programs[program].phases]
 
-    def _letter(self, link: list[int], program: int, phase: int) -> int:
-        if link[LINK_PROGRAM] != program:
-            return link[LINK_STATE]
-        return self.letters[self.phase_ints[phase][PHASE_STATE] + link[LINK_SIGNAL]]
+    def _letter(self, link: Any, program: int, phase: Any) -> int:
+        return self.net.phase_letters[phase.state + link.signal] if link.program == program else link.state
 
 
 def _is_major(letter: int) -> bool:
@@ -176,14 +150,14 @@ def _best_lanes(net: NetTables, edges: Sequence[int], priority: dict[int, bool])
     row = _Row([0.0] * count, [0] * count, [-1] * count, [False] * count, [])
     length, offset, link, is_open, _ = row
     for lane in net.lanes_of(edges[-1]):
-        length[lane], is_open[lane] = net.length_m[lane], net.lanes[lane][LANE_LINKS] > 0
+        length[lane], is_open[lane] = net.lanes[lane].length, net.lanes[lane].links > 0
     for edge, after in reversed(list(itertools.pairwise(edges))):
         ways = net.links_between(edge, after)
-        connected = max((length[net.links[way][LINK_TO]] for way in ways), default=-1.0)
+        connected = max((length[net.links[way].to_lane] for way in ways), default=-1.0)
         longest = max(length[lane] for lane in net.lanes_of(after))
         for lane in net.lanes_of(edge):
-            length[lane], is_open[lane] = net.length_m[lane], net.lanes[lane][LANE_LINKS] > 0
-            onward = [(net.links[way][LINK_TO], way) for way in ways if way in net.links_of(lane)]
+            length[lane], is_open[lane] = net.lanes[lane].length, net.lanes[lane].links > 0
+            onward = [(net.links[way].to_lane, way) for way in ways if way in net.links_of(lane)]
             if not onward:
                 continue
             # The longest, then the one with fewest changes ahead, then the rightmost.
@@ -194,7 +168,7 @@ def _best_lanes(net: NetTables, edges: Sequence[int], priority: dict[int, bool])
             offset[lane], is_open[lane] = offset[target], is_open[target]
         for way in ways:
             for lane in net.inside_lanes(way):
-                _describe_inside(net, net.links[way][LINK_TO], lane, row)
+                _describe_inside(net, net.links[way].to_lane, lane, row)
         _point_to_best(net.lanes_of(edge), net, priority, row)
     row.road.extend(_road_behind(net, lane, link) for lane in range(count))
     return row
@@ -203,15 +177,15 @@ def _best_lanes(net: NetTables, edges: Sequence[int], priority: dict[int, bool])
 def _road_behind(net: NetTables, lane: int, link: list[int]) -> int:
     """Return the next lane outside of junctions from a lane, -1 if there is none."""
     while link[lane] >= 0:
-        lane = net.links[link[lane]][LINK_NEXT]
-        if not net.lanes[lane][LANE_INSIDE]:
+        lane = net.links[link[lane]].next_lane
+        if not net.lanes[lane].inside:
             return lane
     return -1
 
 
 def _describe_inside(net: NetTables, target: int, lane: int, row: _Row) -> None:
     """Describe a lane inside a junction like the lane behind it, with offsets within the inside edge."""
-    siblings = net.lanes_of(net.lanes[lane][LANE_EDGE])
+    siblings = net.lanes_of(net.lanes[lane].edge)
     row.length[lane], row.open[lane], row.link[lane] = row.length[target], row.open[target], net.links_of(lane)[0]
     row.offset[lane] = min(max(row.offset[target], siblings[0] - lane), siblings[-1] - lane)
 
@@ -230,7 +204,7 @@ def _point_to_best(lanes: range, net: NetTables, priority: dict[int, bool], row:
         ends = (best[0], best[-1])
         offset[lane] = (ends[0] if abs(ends[0] - lane) < abs(ends[1] - lane) else ends[1]) - lane
         if level[lane] < top[2]:
-            length[lane] = net.length_m[lane]
+            length[lane] = net.lanes[lane].length
 
 
 @compiled

@@ -14,28 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from izoo.envs.twin.net.polylines import Polylines
-from izoo.envs.twin.runtime.layout import (
-    LANE_EDGE,
-    LANE_INSIDE,
-    LANE_LENGTH,
-    LINK_DIRECTION,
-    LINK_FROM,
-    LINK_NEXT,
-    LINK_TO,
-    LINK_VIA,
-)
+from izoo.envs.twin.net.tables import NetTables
 
 CROSSING, MERGING, DIVERGING = range(3)
-"""Values of ``CONFLICT_KIND``: the ways cross; lead to one lane; come from one lane."""
-
-CONFLICT_LANE, CONFLICT_ENTRY, CONFLICT_KIND, CONFLICT_YIELDS, CONFLICT_FOE_YIELDS, CONFLICT_FOE_WAITS = range(6)
-"""Columns of :attr:`Conflicts.ints`: the other way; the link by which vehicles enter it; kind; 1 where the own entry
-link yields to that link; 1 where that link yields to the own; 1 where the other way ends at a waiting point."""
-
-CONFLICT_TO_END, CONFLICT_SIZE, CONFLICT_FOE_TO_END, CONFLICT_FOE_SIZE, CONFLICT_RADIUS = range(5)
-"""Columns of :attr:`Conflicts.floats` (m): from the begin of the conflict to the end of the own way; length of the
-conflict on it; the same on the other way (:data:`NOWHERE` where that way ends before the own); radius of the own turn,
-0 on straight ways and in sharp right turns, where SUMO does not use it."""
+"""Values of ``kind``: the ways cross; lead to one lane; come from one lane."""
 
 NOWHERE = 10000.0
 _APART_BEFORE_M = 0.1
@@ -43,56 +25,43 @@ _APART_BEFORE_M = 0.1
 _LEAST_SINE = 0.2
 
 
-class Conflicts(NamedTuple):
-    """Conflicts of a net's ways.
-
-    Attributes:
-        first, count: ``[K]`` int32, of links that begin on a way: rows of that way's conflicts.
-        ints: ``[C, 6]`` int32. floats: ``[C, 5]`` float64.
-        wait_first, wait_count: ``[K]`` int32, of links at a waiting point inside: range of ``wait_foes``.
-        wait_foes: int32, links whose vehicles a link at a waiting point yields to.
-    """
-
-    first: np.ndarray
-    count: np.ndarray  # type: ignore[assignment]
-    ints: np.ndarray
-    floats: np.ndarray
-    wait_first: np.ndarray
-    wait_count: np.ndarray
-    wait_foes: np.ndarray
+Row = tuple[float, float, float, float, float, int, int, int, int, int, int]
+"""A :data:`~izoo.envs.twin.runtime.layout.Conflict`."""
 
 
 class Ways(NamedTuple):
-    """Input of the search for conflicts: tables of the twin's net, shapes and widths of lanes."""
+    """Input of the search for conflicts: a net, its lanes' shapes and widths (m), and what each link yields to and its
+    foes."""
 
-    lane_floats: np.ndarray
-    lane_ints: np.ndarray
-    link_ints: np.ndarray
+    net: NetTables
     shapes: list[np.ndarray]
-    width_m: np.ndarray
+    width_m: list[float]
     responses: dict[int, set[int]]
     foes: dict[int, set[int]]
 
 
-def find_conflicts(root: Any, lane_rows: dict[str, int], ways: Ways) -> Conflicts:
-    """Return the conflicts of all junctions of a net.
+def find_conflicts(root: Any, lane_rows: dict[str, int], ways: Ways) -> tuple[list[Row], list[int]]:
+    """Find the conflicts of all junctions of a net, and set the ranges of its links.
 
     Args:
         root: the ``<net>`` element.
         lane_rows: rows of lanes by name.
-        ways: tables; ``responses`` and ``foes`` by entry link.
+        ways: the net.
+
+    Returns:
+        The conflicts, those of one way in neighbouring rows, and the links whose vehicles others yield to at waiting
+        points.
     """
     search = _Search(ways)
     links, lanes_of, entry_of = search.links, search.lanes_of, search.entry_of
     inner = _inner_junctions(root, lane_rows)
     same_origin: dict[int, list[int]] = defaultdict(list)
     for row in lanes_of:
-        same_origin[links[row][LINK_FROM]].append(row)
-    wait_first, wait_count = np.zeros((2, len(links)), np.int32)
+        same_origin[links[row].from_lane].append(row)
     pairs_of: dict[int, list[_Pair]] = {}
     wait_foes: list[int] = []
     for entry, lanes in lanes_of.items():
-        siblings = [lane for row in same_origin[links[entry][LINK_FROM]] if row != entry for lane in lanes_of[row]]
+        siblings = [lane for row in same_origin[links[entry].from_lane] if row != entry for lane in lanes_of[row]]
         crossed = [lane for row in sorted(ways.foes.get(entry, ())) for lane in reversed(lanes_of.get(row, []))]
         for place, lane in enumerate(lanes):
             row = search.behind[lane]
@@ -101,26 +70,17 @@ def find_conflicts(root: Any, lane_rows: dict[str, int], ways: Ways) -> Conflict
                 crossed = list(dict.fromkeys(k for w in inside for k in (w, *lanes_of[entry_of[w]]) if w in entry_of))
                 if place + 1 < len(lanes):
                     found = search.waiting_foes(entry, incoming, inside)
-                    wait_first[row], wait_count[row] = len(wait_foes), len(found)
+                    links[row].first_wait, links[row].waits = len(wait_foes), len(found)
                     wait_foes += found
             others = dict.fromkeys([*crossed, *siblings])
             pairs_of[row] = [_Pair(entry, lane, entry_of[k], k) for k in others if entry_of[k] != entry]
-    first, count = np.zeros((2, len(links)), np.int32)
-    rows: list[tuple[list[int], list[float]]] = []
+    rows: list[Row] = []
     geometry = _Geometry(search, [pair for pairs in pairs_of.values() for pair in pairs])
     for row, pairs in pairs_of.items():
-        first[row] = len(rows)
+        links[row].first_conflict = len(rows)
         rows += filter(None, map(geometry.conflict, pairs))
-        count[row] = len(rows) - first[row]
-    return Conflicts(
-        first,
-        count,
-        np.array([ints for ints, _ in rows], np.int32).reshape(-1, 6),
-        np.array([floats for _, floats in rows], np.float64).reshape(-1, 5),
-        wait_first,
-        wait_count,
-        np.array(wait_foes, np.int32),
-    )
+        links[row].conflicts = len(rows) - links[row].first_conflict
+    return rows, wait_foes
 
 
 def _inner_junctions(root: Any, lane_rows: dict[str, int]) -> dict[int, tuple[list[int], list[int]]]:
@@ -149,27 +109,21 @@ class _Search:
     """Which links lead to which ways.
 
     Attributes:
-        links: rows of ``link_ints`` as lists.
+        links, lanes: rows of the net.
         behind: by lane, the first link that begins on it.
         lanes_of: by entry link, the ways behind it in order: one, or two with a waiting point between them.
         entry_of: by way, its entry link.
-        edge: by lane.
     """
 
     def __init__(self, ways: Ways) -> None:
         self.ways = ways
-        self.links: list[list[int]] = ways.link_ints.tolist()
-        self.edge: list[int] = ways.lane_ints[:, LANE_EDGE].tolist()
-        self.behind = {link[LINK_FROM]: row for row, link in reversed(list(enumerate(self.links)))}
-        inside = ways.lane_ints[:, LANE_INSIDE].tolist()
-        self.lanes_of: dict[int, list[int]] = {}
-        for row, link in enumerate(self.links):
-            if link[LINK_VIA] >= 0 and not inside[link[LINK_FROM]]:
-                self.lanes_of[row] = lanes = []
-                lane = link[LINK_VIA]
-                while inside[lane]:
-                    lanes.append(lane)
-                    lane = self.links[self.behind[lane]][LINK_NEXT]
+        self.links, self.lanes = ways.net.links, ways.net.lanes
+        self.behind = {link.from_lane: row for row, link in reversed(list(enumerate(self.links)))}
+        self.lanes_of = {
+            row: ways.net.inside_lanes(row)
+            for row, link in enumerate(self.links)
+            if link.via_lane >= 0 and not self.lanes[link.from_lane].inside
+        }
         self.entry_of = {lane: row for row, lanes in self.lanes_of.items() for lane in lanes}
 
     def waiting_foes(self, entry: int, incoming: list[int], inside: list[int]) -> list[int]:
@@ -179,25 +133,25 @@ class _Search:
         but not those that yield to it in turn, nor those of the same road.
         """
         links, responses = self.links, self.ways.responses
-        foes = [row for row in sorted(responses.get(entry, ())) if links[row][LINK_FROM] in incoming]
+        foes = [row for row in sorted(responses.get(entry, ())) if links[row].from_lane in incoming]
         lanes = [*(lane for row in foes for lane in self.lanes_of.get(row, [])), *inside]
-        waiting = [row for row in (self.behind[lane] for lane in lanes) if links[row][LINK_VIA] >= 0]
-        entries = {row: self.entry_of[links[row][LINK_FROM]] for row in waiting}
-        road = self.edge[links[entry][LINK_FROM]]
+        waiting = [row for row in (self.behind[lane] for lane in lanes) if links[row].via_lane >= 0]
+        entries = {row: self.entry_of[links[row].from_lane] for row in waiting}
+        road = self.lanes[links[entry].from_lane].edge
         waiting = [
             row
             for row in waiting
-            if entry not in responses.get(entries[row], ()) and self.edge[links[entries[row]][LINK_FROM]] != road
+            if entry not in responses.get(entries[row], ()) and self.lanes[links[entries[row]].edge.from_lane] != road
         ]
         return list(dict.fromkeys([*foes, *waiting]))
 
     def kind(self, pair: _Pair) -> int:
         """Return the kind of conflict that two ways may be in."""
         own, theirs = self.links[pair.entry], self.links[pair.foe]
-        if own[LINK_FROM] == theirs[LINK_FROM]:
+        if own.from_lane == theirs.from_lane:
             return DIVERGING
         ends = pair.lane == self.lanes_of[pair.entry][-1] and pair.other == self.lanes_of[pair.foe][-1]
-        return MERGING if ends and own[LINK_TO] == theirs[LINK_TO] else CROSSING
+        return MERGING if ends and own.to_lane == theirs.to_lane else CROSSING
 
 
 class _Geometry:
@@ -210,8 +164,8 @@ class _Geometry:
 
     def __init__(self, search: _Search, pairs: list[_Pair]) -> None:
         self.search, self.ways = search, search.ways
-        self.width_m: list[float] = self.ways.width_m.tolist()
-        self.length_m: list[float] = self.ways.lane_floats[:, LANE_LENGTH].tolist()
+        self.width_m = self.ways.width_m
+        self.length_m: list[float] = [lane.length for lane in search.lanes]
         steps = {lane: np.diff(self.ways.shapes[lane], axis=0) for lane in search.entry_of}
         self.drawn_m = {lane: float(np.linalg.norm(step, axis=1).sum()) for lane, step in steps.items()}
         """Lengths of shapes, slopes included."""
@@ -232,8 +186,8 @@ class _Geometry:
         self.nearest = dict(zip(apart, self.shapes.nearest([lane for lane, _ in apart], ends), strict=True))
         self.radius_m = {entry: self._radius_m(entry) for entry in search.lanes_of}
 
-    def conflict(self, pair: _Pair) -> tuple[list[int], list[float]] | None:
-        """Return a row of ``ints`` and one of ``floats``, or ``None`` where the two are not in conflict."""
+    def conflict(self, pair: _Pair) -> Row | None:
+        """Return the record of two ways, or ``None`` where they are not in conflict."""
         links, responses = self.search.links, self.ways.responses
         entry, lane, foe, other = pair
         own_link, foe_link = links[entry], links[foe]
@@ -253,23 +207,23 @@ class _Geometry:
             sizes = own_size, their_size
             last = lane == self.search.lanes_of[entry][-1]
             if own > 0.0 and theirs == 0.0 and (lane, other) not in self.meetings:
-                if self.search.edge[own_link[LINK_FROM]] == self.search.edge[foe_link[LINK_FROM]]:
+                if self.search.lanes[own_link.from_lane].edge == self.search.lanes[foe_link.from_lane].edge:
                     return None  # It only ends beside a way of the same road.
                 theirs = NOWHERE
-            elif own == theirs == 0.0 and last and waits and yields and own_link[LINK_TO] == foe_link[LINK_TO]:
+            elif own == theirs == 0.0 and last and waits and yields and own_link.to_lane == foe_link.to_lane:
                 # The foe is before its waiting point and will merge.
                 theirs = NOWHERE
             if own <= 0.0 and theirs != NOWHERE:
                 return None
-        floats = [own, sizes[0], theirs, sizes[1], self.radius_m[entry]]
-        return [other, foe, kind, int(yields), int(foe_yields), int(waits)], floats
+        where = own, sizes[0], theirs, sizes[1], self.radius_m[entry]
+        return *where, other, foe, kind, int(yields), int(foe_yields), int(waits)
 
     def _radius_m(self, entry: int) -> float:
         """Return the radius of the arc that is as long as the ways behind ``entry`` and turns as far."""
         link = self.search.links[entry]
-        if chr(link[LINK_DIRECTION]) in "sr":
+        if chr(link.direction) in "sr":
             return 0.0
-        before, after = self.ways.shapes[link[LINK_FROM]][-2:, :2], self.ways.shapes[link[LINK_TO]][:2, :2]
+        before, after = self.ways.shapes[link.from_lane][-2:, :2], self.ways.shapes[link.to_lane][:2, :2]
         headings = [math.atan2(*(shape[1] - shape[0])[::-1]) for shape in (before, after)]
         angle = abs((headings[1] - headings[0] + math.pi) % (2.0 * math.pi) - math.pi)
         return sum(self.shapes.length_m[lane] for lane in self.search.lanes_of[entry]) / angle if angle > 0.0 else 0.0
@@ -325,7 +279,7 @@ class _Geometry:
         """Return how far before their ends two ways that begin together have diverged."""
         common = self.diverging[lane, other]
         ends = [self.length_m[k] for k in (lane, other)]
-        if self.search.edge[lane] == self.search.edge[other]:
+        if self.search.lanes[lane].edge == self.search.lanes[other].edge:
             # Ways into neighbouring lanes of one road are measured from their common begin.
             return ends[0] - common, ends[1] - common
         # The rest of a way that ends before the two have diverged is in metres of the drawing.

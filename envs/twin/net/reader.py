@@ -7,51 +7,17 @@ import math
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from izoo.envs.twin.lane_change.neighbours import incoming_links_of, mark_lane_changing
-from izoo.envs.twin.net.best_lanes import Signals, tabulate_best_lanes
-from izoo.envs.twin.net.conflicts import Conflicts, Ways, find_conflicts
+from izoo.envs.twin.net.best_lanes import tabulate_best_lanes
+from izoo.envs.twin.net.conflicts import Ways, find_conflicts
 from izoo.envs.twin.net.routes import find_routes
 from izoo.envs.twin.net.supported import check_supported
-from izoo.envs.twin.net.tables import NetTables
+from izoo.envs.twin.net.tables import NetTables, grouped, records
 from izoo.envs.twin.runtime.layout import (
-    EDGE_FIRST_LANE,
-    EDGE_INSIDE,
-    EDGE_LANES,
-    LANE_EDGE,
-    LANE_FIRST_LINK,
-    LANE_INDEX,
-    LANE_INSIDE,
-    LANE_JUNCTION,
-    LANE_LEFT,
-    LANE_LINKS,
-    LANE_REGION,
-    LANE_RIGHT,
-    LINK_CONT,
-    LINK_DIRECTION,
-    LINK_ENTRY,
-    LINK_FIRST_FOE,
-    LINK_FIRST_RESPONSE,
-    LINK_FOES,
-    LINK_FROM,
-    LINK_JUNCTION,
-    LINK_NEXT,
-    LINK_PROGRAM,
-    LINK_REQUEST,
-    LINK_RESPONSES,
-    LINK_SIGNAL,
-    LINK_STATE,
-    LINK_TO,
-    LINK_VIA,
-    PHASE_BEGIN_MS,
-    PHASE_STATE,
-    PROGRAM_CYCLE_MS,
-    PROGRAM_FIRST_PHASE,
-    PROGRAM_OFFSET_MS,
-    PROGRAM_PHASES,
     Conflict,
     Driver,
     Edge,
@@ -63,7 +29,6 @@ from izoo.envs.twin.runtime.layout import (
     Route,
     TwinNet,
     TwinTraffic,
-    records,
 )
 from izoo.errors import IzooError
 from izoo.networks.clock import to_ms
@@ -135,230 +100,196 @@ class _Reader:
 
     def read(self) -> TwinWorld:
         check_supported(self.root, self.path)
-        lane_floats = np.array([[float(lane.get("length")), float(lane.get("speed"))] for lane in self.lanes])
-        lane_ints, edge_ints = self._lanes_and_edges()
-        connections = self._connections()
-        link_ints = self._links(connections, lane_ints)
-        responses, foes = self._requests(link_ints)
-        programs, phases, letters = self._signals()
-        signal_links = np.flatnonzero(link_ints[:, LINK_PROGRAM] >= 0)
-        shown = link_ints[signal_links, LINK_PROGRAM]
-        shown_order = np.argsort(shown, kind="stable")
-        tables = NetTables(lane_floats, lane_ints, edge_ints, link_ints)
+        lanes, edges = self._lanes_and_edges()
+        links = self._links(lanes)
+        responses, foes = self._requests(links)
+        tables = NetTables(lanes, edges, links, *self._signals())
         routes = find_routes(self.road, self.edge_rows, tables)
         try:
-            best = tabulate_best_lanes(tables, Signals(programs, phases, letters), routes.route_edges)
+            best = tabulate_best_lanes(tables, routes.route_edges)
         except IzooError as error:
             raise IzooError(f"{self.path}: {error}") from error
-        mark_lane_changing(edge_ints, lane_floats, lane_ints, link_ints)
-        incoming = incoming_links_of(link_ints, len(self.lanes))
-        shapes = [lane_shape(lane) for lane in self.lanes]
-        width_m = np.array([float(lane.get("width", _DEFAULT_WIDTH_M)) for lane in self.lanes])
-        conflicts = self._conflicts(lane_floats, lane_ints, link_ints, shapes, width_m, responses, foes)
-        exit_edge = np.array([row[row >= 0][-1] for row in routes.route_edges], np.int32)
+        tables.mark_lane_changing()
+        numbered = list(enumerate(links))
+        ways = Ways(
+            tables,
+            [lane_shape(lane) for lane in self.lanes],
+            [float(lane.get("width", _DEFAULT_WIDTH_M)) for lane in self.lanes],
+            {k: set(responses[link.first_response : link.first_response + link.responses]) for k, link in numbered},
+            {k: set(foes[link.first_foe : link.first_foe + link.foes]) for k, link in numbered},
+        )
+        conflicts, wait_foes = find_conflicts(self.root, self.lane_rows, ways)
+        played = np.zeros(len(routes.route_edges), Route)
+        played["exit_edge"] = [row[row >= 0][-1] for row in routes.route_edges]
+        played["first_variant"], played["variants"] = best.variant_first, best.variant_count
+        program_first_link, program_links = grouped([link.program for link in links], len(self.programs))
+        incoming_start, incoming_links = grouped([link.next_lane for link in links], len(lanes))
+        sources = set(routes.route_edges[:, 0].tolist())
         net = TwinNet(
-            lanes=records(Lane, lane_floats, lane_ints),
-            edges=records(Edge, edge_ints),
-            links=records(
-                Link, link_ints, conflicts.first, conflicts.count, conflicts.wait_first, conflicts.wait_count
-            ),
-            responses=responses,
-            foes=foes,
-            programs=records(Program, programs),
-            phases=records(Phase, phases),
-            phase_letters=letters,
-            program_first_link=np.searchsorted(shown[shown_order], np.arange(len(self.programs) + 1)).astype(np.int32),
-            program_links=signal_links[shown_order].astype(np.int32),
-            **routes._asdict(),
-            routes=records(Route, exit_edge, best.variant_first, best.variant_count),
-            conflicts=records(Conflict, conflicts.floats, conflicts.ints),
+            lanes=records(Lane, lanes),
+            edges=records(Edge, edges),
+            links=records(Link, links),
+            programs=records(Program, tables.programs),
+            phases=records(Phase, tables.phases),
+            routes=played,
+            conflicts=np.array(conflicts, Conflict),
             best=best.best,
-            wait_foes=conflicts.wait_foes,
+            responses=np.array(responses, np.int32),
+            foes=np.array(foes, np.int32),
+            wait_foes=np.array(wait_foes, np.int32),
+            phase_letters=np.frombuffer(tables.phase_letters, np.uint8),
+            program_first_link=program_first_link,
+            program_links=program_links,
+            **routes._asdict(),
+            source_lanes=np.array([row for row, lane in enumerate(lanes) if lane.edge in sources], np.int32),
             variant_links=best.variant_links,
             variant_group=best.variant_group,
             variant_bits=best.variant_bits,
-            source_lanes=np.flatnonzero(np.isin(lane_ints[:, LANE_EDGE], routes.route_edges[:, 0])).astype(np.int32),
-            incoming_start=incoming[0],
-            incoming_links=incoming[1],
+            incoming_start=incoming_start,
+            incoming_links=incoming_links,
         )
         return TwinWorld(net, tuple(self.lane_rows), tuple(self.edge_rows), tuple(self.program_rows))
 
-    def _lanes_and_edges(self) -> tuple[np.ndarray, np.ndarray]:
-        lane_rows: list[list[int]] = []
-        edge_rows: list[list[int]] = []
+    def _lanes_and_edges(self) -> tuple[list[Any], list[Any]]:
+        lanes: list[Any] = []
+        edges: list[Any] = []
         region = {name: row for row, name in enumerate(self.road.lane_ids)}
         junction_rows = {junction.get("id"): row for row, junction in enumerate(self.junctions)}
         for row, edge in enumerate(self.edges):
-            first, count = len(lane_rows), len(edge.findall("lane"))
+            elements = edge.findall("lane")
+            first, count = len(lanes), len(elements)
             inside = int(edge.get("function") == "internal")
-            edge_rows.append(_row(4, 0, {EDGE_FIRST_LANE: first, EDGE_LANES: count, EDGE_INSIDE: inside}))
+            edges.append(SimpleNamespace(first_lane=first, lanes=count, inside=inside, changes=0))
             # An inside edge is called ":JUNCTION_NUMBER".
             junction = edge.get("id")[1:].rsplit("_", 1)[0] if inside else edge.get("to")
-            for index in range(count):
-                lane = first + index
-                values = {
-                    LANE_EDGE: row,
-                    LANE_INDEX: index,
-                    LANE_INSIDE: inside,
-                    LANE_RIGHT: lane - 1 if index > 0 else -1,
-                    LANE_LEFT: lane + 1 if index < count - 1 else -1,
-                    LANE_REGION: region.get(self.lanes[lane].get("id"), -1),
-                    LANE_JUNCTION: junction_rows.get(junction, -1),
-                    LANE_FIRST_LINK: 0,
-                    LANE_LINKS: 0,
-                }
-                lane_rows.append(_row(9, -1, values))
-        return np.array(lane_rows, np.int32), np.array(edge_rows, np.int32)
+            lanes += [
+                SimpleNamespace(
+                    length=float(element.get("length")),
+                    limit=float(element.get("speed")),
+                    edge=row,
+                    index=index,
+                    right=first + index - 1 if index > 0 else -1,
+                    left=first + index + 1 if index < count - 1 else -1,
+                    inside=inside,
+                    region=region.get(element.get("id"), -1),
+                    junction=junction_rows.get(junction, -1),
+                    first_link=0,
+                    links=0,
+                )
+                for index, element in enumerate(elements)
+            ]
+        return lanes, edges
 
-    def _connections(self) -> list[Any]:
+    def _links(self, lanes: list[Any]) -> list[Any]:
+        """Return the links in the order of the lanes on which they begin, and set the links of lanes."""
         by_lane: dict[int, list[Any]] = defaultdict(list)
         for connection in self.root.findall("connection"):
             by_lane[self.lane_rows[f"{connection.get('from')}_{connection.get('fromLane')}"]].append(connection)
-        return [connection for lane in sorted(by_lane) for connection in by_lane[lane]]
-
-    def _links(self, connections: list[Any], lane_ints: np.ndarray) -> np.ndarray:
-        rows: list[list[int]] = []
-        lanes = lane_ints.tolist()
-        for row, connection in enumerate(connections):
-            start = self.lane_rows[f"{connection.get('from')}_{connection.get('fromLane')}"]
-            via = self.lane_rows.get(connection.get("via"), -1)
-            to = self.lane_rows[f"{connection.get('to')}_{connection.get('toLane')}"]
-            values = {
-                LINK_FROM: start,
-                LINK_TO: to,
-                LINK_VIA: via,
-                LINK_NEXT: via if via >= 0 else to,
-                LINK_JUNCTION: lanes[start][LANE_JUNCTION],
-                LINK_ENTRY: row,
-                LINK_CONT: 0,
-                LINK_STATE: ord(connection.get("state", "M")),
-                LINK_DIRECTION: ord(connection.get("dir")[0]),
-            }
-            if not lanes[start][LANE_INSIDE] and via >= 0:
-                edge, index = connection.get("via").rsplit("_", 1)
-                values[LINK_REQUEST] = int(edge.rsplit("_", 1)[1]) + int(index)
-            if connection.get("tl") is not None:
-                values[LINK_PROGRAM] = self.program_rows[connection.get("tl")]
-                values[LINK_SIGNAL] = int(connection.get("linkIndex"))
-            rows.append(_row(16, -1, values))
-        links = np.array(rows, np.int32).reshape(-1, 16)
-        starts = np.arange(len(lane_ints))
-        first = np.searchsorted(links[:, LINK_FROM], starts)
-        count = np.searchsorted(links[:, LINK_FROM], starts, "right") - first
-        lane_ints[:, LANE_FIRST_LINK], lane_ints[:, LANE_LINKS] = np.where(count > 0, first, 0), count
-        self._name_entries(links, lane_ints)
+        links: list[Any] = []
+        for start in sorted(by_lane):
+            lanes[start].first_link, lanes[start].links = len(links), len(by_lane[start])
+            for connection in by_lane[start]:
+                links.append(self._link(connection, start, len(links), lanes[start]))
+        for row, link in enumerate(links):
+            lane = -1 if lanes[link.from_lane].inside else link.via_lane
+            while lane >= 0 and lanes[lane].links:
+                onward = links[lanes[lane].first_link]
+                onward.entry, lane = row, onward.via_lane
         return links
 
-    @staticmethod
-    def _name_entries(links: np.ndarray, lane_ints: np.ndarray) -> None:
-        """Set the entry link of every link inside a junction."""
-        rows, lanes = links.tolist(), lane_ints.tolist()
-        for row, link in enumerate(rows):
-            lane = -1 if lanes[link[LINK_FROM]][LANE_INSIDE] else link[LINK_VIA]
-            while lane >= 0 and lanes[lane][LANE_LINKS]:
-                onward = lanes[lane][LANE_FIRST_LINK]
-                links[onward, LINK_ENTRY] = row
-                lane = rows[onward][LINK_VIA]
+    def _link(self, connection: Any, start: int, row: int, lane: Any) -> SimpleNamespace:
+        to = self.lane_rows[f"{connection.get('to')}_{connection.get('toLane')}"]
+        via = self.lane_rows.get(connection.get("via"), -1)
+        request = program = signal = -1
+        if not lane.inside and via >= 0:
+            edge, index = connection.get("via").rsplit("_", 1)
+            request = int(edge.rsplit("_", 1)[1]) + int(index)
+        if connection.get("tl") is not None:
+            program, signal = self.program_rows[connection.get("tl")], int(connection.get("linkIndex"))
+        return SimpleNamespace(
+            from_lane=start,
+            to_lane=to,
+            via_lane=via,
+            next_lane=via if via >= 0 else to,
+            junction=lane.junction,
+            request=request,
+            cont=0,
+            program=program,
+            signal=signal,
+            state=ord(connection.get("state", "M")),
+            direction=ord(connection.get("dir")[0]),
+            entry=row,
+            **dict.fromkeys(("first_response", "responses", "first_foe", "foes"), 0),
+            **dict.fromkeys(("first_conflict", "conflicts", "first_wait", "waits"), 0),
+        )
 
-    def _requests(self, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Fill the links' ranges of responses and foes, and whether vehicles may wait inside."""
-        numbers = links[:, [LINK_JUNCTION, LINK_REQUEST]].tolist()
-        at = {(junction, request): row for row, (junction, request) in enumerate(numbers) if request >= 0}
-        lists: tuple[list[int], list[int]] = ([], [])
-        links[:, [LINK_FIRST_RESPONSE, LINK_RESPONSES, LINK_FIRST_FOE, LINK_FOES]] = 0
-        columns = (("response", LINK_FIRST_RESPONSE, LINK_RESPONSES), ("foes", LINK_FIRST_FOE, LINK_FOES))
+    def _requests(self, links: list[Any]) -> tuple[list[int], list[int]]:
+        """Set the links' ranges of responses and foes, which are returned, and whether vehicles may wait inside."""
+        at = {(link.junction, link.request): row for row, link in enumerate(links) if link.request >= 0}
+        responses: list[int] = []
+        foes: list[int] = []
         for number, junction in enumerate(self.junctions):
+
+            def named(bits: str, junction: int = number) -> list[int]:
+                keys = [(junction, bit) for bit, flag in enumerate(reversed(bits)) if flag == "1"]
+                return [at[key] for key in keys if key in at]
+
             for request in junction.findall("request"):
                 row = at.get((number, int(request.get("index"))))
                 if row is None:
                     continue
-                links[row, LINK_CONT] = request.get("cont") == "1"
-                for rows, (name, first, count) in zip(lists, columns, strict=True):
-                    bits = [bit for bit, flag in enumerate(reversed(request.get(name))) if flag == "1"]
-                    found = [at[number, bit] for bit in bits if (number, bit) in at]
-                    links[row, first], links[row, count] = len(rows), len(found)
-                    rows += found
-        return np.array(lists[0], np.int32), np.array(lists[1], np.int32)
+                link, yields_to, others = links[row], named(request.get("response")), named(request.get("foes"))
+                link.cont = int(request.get("cont") == "1")
+                link.first_response, link.responses = len(responses), len(yields_to)
+                link.first_foe, link.foes = len(foes), len(others)
+                responses += yields_to
+                foes += others
+        return responses, foes
 
-    def _conflicts(
-        self,
-        lane_floats: np.ndarray,
-        lane_ints: np.ndarray,
-        link_ints: np.ndarray,
-        shapes: list[np.ndarray],
-        width_m: np.ndarray,
-        responses: np.ndarray,
-        foes: np.ndarray,
-    ) -> Conflicts:
-
-        def ranges(rows: np.ndarray, first: int, count: int) -> dict[int, set[int]]:
-            values = rows.tolist()
-            return {k: set(values[link[first] : link[first] + link[count]]) for k, link in enumerate(links)}
-
-        links = link_ints.tolist()
-
-        ways = Ways(
-            lane_floats,
-            lane_ints,
-            link_ints,
-            shapes,
-            width_m,
-            ranges(responses, LINK_FIRST_RESPONSE, LINK_RESPONSES),
-            ranges(foes, LINK_FIRST_FOE, LINK_FOES),
-        )
-        return find_conflicts(self.root, self.lane_rows, ways)
-
-    def _signals(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        programs = np.zeros((len(self.programs), 4), np.int64)
-        phases: list[tuple[int, int]] = []
+    def _signals(self) -> tuple[list[Any], list[Any], bytes]:
+        """Return the rows of programs and phases, and the phases' letters."""
+        programs: list[Any] = []
+        phases: list[Any] = []
         letters = bytearray()
-        for row, logic in enumerate(self.programs):
-            begin_ms = 0
-            programs[row, PROGRAM_FIRST_PHASE] = len(phases)
+        for logic in self.programs:
+            begin_ms, first = 0, len(phases)
             for phase in logic.findall("phase"):
-                entry = [0, 0]
-                entry[PHASE_BEGIN_MS], entry[PHASE_STATE] = begin_ms, len(letters)
-                phases.append((entry[0], entry[1]))
+                phases.append(SimpleNamespace(begin_ms=begin_ms, state=len(letters)))
                 letters += phase.get("state").encode("ascii")
                 begin_ms += to_ms(float(phase.get("duration")))
-            programs[row, PROGRAM_PHASES] = len(phases) - programs[row, PROGRAM_FIRST_PHASE]
-            programs[row, PROGRAM_CYCLE_MS] = begin_ms
-            programs[row, PROGRAM_OFFSET_MS] = to_ms(offset_s(logic))
-        return programs, np.array(phases, np.int64).reshape(-1, 2), np.frombuffer(bytes(letters), np.uint8)
-
-
-def _row(size: int, rest: int, values: dict[int, int]) -> list[int]:
-    """Return a row with values by column, and ``rest`` in the other columns."""
-    return [values.get(column, rest) for column in range(size)]
+            offset_ms = to_ms(offset_s(logic))
+            programs.append(
+                SimpleNamespace(first_phase=first, phases=len(phases) - first, cycle_ms=begin_ms, offset_ms=offset_ms)
+            )
+        return programs, phases, bytes(letters)
 
 
 def twin_traffic(traffic: Traffic, road: RoadNet, net: TwinNet) -> TwinTraffic:
     """Return the demand as SUMO reads it from the route file of :func:`izoo.traffic.sampling.write_routes`."""
-    length = np.array([float(f"{value:g}") for value in traffic.length_m.tolist()])
-    min_gap, tau, accel, decel = (
-        np.array([float(f"{value:.4f}") for value in column.tolist()])
-        for column in (traffic.min_gap_m, traffic.tau_s, traffic.accel_mps2, traffic.decel_mps2)
-    )
-    speed = np.minimum(DEPART_SPEED_MPS, road.speed_limit_mps)[traffic.approach]
-    emergency = np.maximum(decel, _LEAST_EMERGENCY_DECEL_MPS2)
-    two_root_ab = 2.0 * np.sqrt(accel * decel)
-    depart_ms = np.array([to_ms(float(f"{value:.3f}")) for value in traffic.depart_s.tolist()], np.int64)
-    route = net.route_of[traffic.approach, traffic.source, traffic.exit].astype(np.int64)
-    lane = net.edges["first_lane"][net.route_edges[route, 0]] + traffic.depart_lane
-    columns = length, min_gap, tau, accel, decel, emergency, two_root_ab, speed, depart_ms, route, lane
-    return TwinTraffic(records(Driver, *columns), _fleet_read(depart_ms, decel, min_gap))
+    drivers = np.zeros(len(traffic), Driver)
+    drivers["length"] = [float(f"{value:g}") for value in traffic.length_m.tolist()]
+    rounded = ("min_gap", traffic.min_gap_m), ("tau", traffic.tau_s), ("max_accel", traffic.accel_mps2)
+    for name, values in (*rounded, ("decel", traffic.decel_mps2)):
+        drivers[name] = [float(f"{value:.4f}") for value in values.tolist()]
+    drivers["emergency_decel"] = np.maximum(drivers["decel"], _LEAST_EMERGENCY_DECEL_MPS2)
+    drivers["two_root_ab"] = 2.0 * np.sqrt(drivers["max_accel"] * drivers["decel"])
+    drivers["depart_speed"] = np.minimum(DEPART_SPEED_MPS, road.speed_limit_mps)[traffic.approach]
+    drivers["depart_ms"] = [to_ms(float(f"{value:.3f}")) for value in traffic.depart_s.tolist()]
+    drivers["route"] = net.route_of[traffic.approach, traffic.source, traffic.exit]
+    drivers["depart_lane"] = net.edges["first_lane"][net.route_edges[drivers["route"], 0]] + traffic.depart_lane
+    return TwinTraffic(drivers, _fleet_read(drivers))
 
 
-def _fleet_read(depart_ms: np.ndarray, decel: np.ndarray, min_gap: np.ndarray) -> np.ndarray:
+def _fleet_read(drivers: np.ndarray) -> np.ndarray:
     """Return :attr:`TwinTraffic.fleet`: extreme parameters of the vehicles that SUMO has read so far, in portions.
 
     First it reads one; when the last one that it has read is due, on to the first that departs over 200 s after that.
     """
-    rows, count, since_ms = [], 0, -math.inf
+    depart_ms, rows, count, since_ms = drivers["depart_ms"], [], 0, -math.inf
     while count < len(depart_ms):
         # The first vehicle that departs after that is read as well.
         count += 1 + int((depart_ms[count:] <= since_ms + _READ_AHEAD_MS).sum())
         count = min(count, len(depart_ms))
-        rows.append((decel[:count].min(), min_gap[:count].max(), since_ms))
+        rows.append((drivers["decel"][:count].min(), drivers["min_gap"][:count].max(), since_ms))
         since_ms = float(depart_ms[count - 1])
     return np.array(rows, Fleet)

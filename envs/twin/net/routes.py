@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from izoo.envs.twin.net.tables import NetTables
-from izoo.envs.twin.runtime.layout import LINK_TO, MAX_ROUTE_EDGES
+from izoo.envs.twin.runtime.layout import MAX_ROUTE_EDGES
 from izoo.errors import IzooError
 from izoo.networks.road import RoadNet
 from izoo.traffic.sampling import SOURCE_KINDS
@@ -55,12 +55,12 @@ def _links_of_route(net: NetTables, edges: list[int]) -> list[int]:
     length, offset = [0.0] * len(net.lanes), [0] * len(net.lanes)
     route_link = [-1] * len(net.lanes)
     for lane in net.lanes_of(edges[-1]):
-        length[lane] = net.length_m[lane]
+        length[lane] = net.lanes[lane].length
     for edge, after in reversed(list(itertools.pairwise(edges))):
         ways = net.links_between(edge, after)
         for lane in net.lanes_of(edge):
-            length[lane] = net.length_m[lane]
-            onward = [(net.links[way][LINK_TO], way) for way in ways if way in net.links_of(lane)]
+            length[lane] = net.lanes[lane].length
+            onward = [(net.links[way].to_lane, way) for way in ways if way in net.links_of(lane)]
             if onward:
                 target, route_link[lane] = min(onward, key=lambda way: (-length[way[0]], abs(offset[way[0]])))
                 length[lane] += length[target]

@@ -2,13 +2,13 @@
 
 A tuple of arrays, handed to a compiled function, is copied field by field at every call, and every array's references
 are counted; with some fifty arrays that costs minutes of compilation and most of the time of a step. Here compiled code
-gets the address of a *directory*, a few 64-bit words per array (address, lengths), and ``state.floats[v, SPEED]``
+gets the address of a *directory*, a few 64-bit words per array (address, lengths), and ``state.vehicles[v].speed``
 reads it there. Nothing is counted or copied: whoever calls keeps the arrays alive and never replaces them.
 
 What such code sees are no numba arrays but *tables*, which know less and are faster. Indices are whole numbers from 0
-on; a negative one is not counted from the end, but reads what is not there. Tables have elements, rows
-(``state.floats[v]``) and a ``shape``, and nothing else. The number of columns is mostly a constant of the type, no two
-tables overlap, and those of a net do not change, which the compiler is told.
+on; a negative one is not counted from the end, but reads what is not there. Tables have elements, which are numbers or
+records, rows (``state.tails[lane]``) and a ``shape``, and nothing else. The length of rows is mostly a constant of the
+type, no two tables overlap, and those of a net do not change, which the compiler is told.
 """
 
 from __future__ import annotations
@@ -61,6 +61,7 @@ class RecordType(types.Type):
 
     def __init__(self, owner: str, field: str, kind: np.dtype, constant: bool) -> None:
         self.owner, self.field, self.kind, self.constant = owner, field, kind, constant
+        self.fields: Any = kind.fields
         super().__init__(name=f"Record({owner}.{field}, {constant})")
 
 
@@ -174,7 +175,7 @@ class _RecordAttribute(AttributeTemplate):  # type: ignore[misc]
     key = RecordType
 
     def generic_resolve(self, kind: RecordType, name: str) -> types.Type | None:  # type: ignore[override]
-        return from_dtype(kind.kind.fields[name][0]) if name in kind.kind.fields else None
+        return from_dtype(kind.fields[name][0]) if name in kind.fields else None
 
 
 @infer_getattr
@@ -288,7 +289,7 @@ def _load(builder: Any, kind: Any, place: Any, field: str = "") -> Any:
 
 
 def _field_place(context: Any, builder: Any, kind: RecordType, value: Any, name: str) -> Any:
-    dtype, offset = kind.kind.fields[name][:2]
+    dtype, offset = kind.fields[name][:2]
     place = builder.gep(value, [ir.Constant(_WORD, offset)])
     return builder.bitcast(place, context.get_data_type(from_dtype(dtype)).as_pointer())
 

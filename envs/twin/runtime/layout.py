@@ -14,57 +14,6 @@ import numpy as np
 
 from izoo.envs.twin.runtime.compiled import Byte1, Float1, Int1, Int2, Int3, Long1, opener, tables_type
 
-LANE_LENGTH, LANE_LIMIT = range(2)
-"""Columns of ``lane_floats``: length (m), speed limit (m/s)."""
-
-(
-    LANE_EDGE,
-    LANE_INDEX,
-    LANE_RIGHT,
-    LANE_LEFT,
-    LANE_INSIDE,
-    LANE_REGION,
-    LANE_JUNCTION,
-    LANE_FIRST_LINK,
-    LANE_LINKS,
-) = range(9)
-"""Columns of ``lane_ints``: edge; 0 is rightmost; neighbouring lanes of the edge; 1 inside a junction;
-row of :class:`~izoo.networks.road.RoadNet`; junction at the lane's end, of inside lanes the one that they are in; its
-links are the rows ``LANE_FIRST_LINK`` to ``LANE_FIRST_LINK + LANE_LINKS`` of the links."""
-
-EDGE_FIRST_LANE, EDGE_LANES, EDGE_INSIDE, EDGE_CHANGES = range(4)
-"""Columns of ``edge_ints``: the lanes of an edge are neighbouring rows, rightmost first."""
-
-(
-    LINK_FROM,
-    LINK_TO,
-    LINK_VIA,
-    LINK_NEXT,
-    LINK_JUNCTION,
-    LINK_REQUEST,
-    LINK_CONT,
-    LINK_PROGRAM,
-    LINK_SIGNAL,
-    LINK_STATE,
-    LINK_DIRECTION,
-    LINK_ENTRY,
-    LINK_FIRST_RESPONSE,
-    LINK_RESPONSES,
-    LINK_FIRST_FOE,
-    LINK_FOES,
-) = range(16)
-"""Columns of ``link_ints``: lane before; lane behind the junction; first inside lane, -1 where there is
-none; the lane that comes next (via, else to); junction; number in the junction's request table; 1 where vehicles may
-wait inside the junction; signal program; index in the program's states; state letter where no signal shows one; letter
-of the direction; for a link that begins inside a junction the link by which vehicles come in, otherwise itself; links
-that it yields to and foes, as ranges of :attr:`TwinNet.responses` and :attr:`TwinNet.foes`."""
-
-PHASE_BEGIN_MS, PHASE_STATE = range(2)
-"""Columns of ``phase_ints``: begin within the cycle; where its state begins in ``phase_letters``."""
-
-PROGRAM_FIRST_PHASE, PROGRAM_PHASES, PROGRAM_CYCLE_MS, PROGRAM_OFFSET_MS = range(4)
-"""Columns of ``program_ints``."""
-
 MAX_ROUTE_EDGES = 6
 
 
@@ -107,7 +56,11 @@ Best = _record("f8 length", "i4 offset link road", "u1 open")
 Route = _record("i4 exit_edge first_variant variants")
 """Row of the last edge; its variants are the rows from ``first_variant`` on of :attr:`TwinNet.best`."""
 Conflict = _record("f8 to_end size foe_to_end foe_size radius", "i4 lane entry kind yields foe_yields foe_waits")
-"""See :class:`~izoo.envs.twin.net.conflicts.Conflicts`."""
+"""Of a way through a junction with another: metres from the begin of the conflict to the end of the own way; length of
+the conflict on it; the same on the other way (:data:`~izoo.envs.twin.net.conflicts.NOWHERE` where that way ends before
+the own); radius of the own turn, 0 on straight ways and in sharp right turns, where SUMO does not use it. The other
+way; the link by which vehicles enter it; kind; 1 where the own entry link yields to that link; 1 where that link yields
+to the own; 1 where the other way ends at a waiting point."""
 
 
 class TwinNet(NamedTuple):
@@ -155,15 +108,6 @@ class TwinNet(NamedTuple):
     variant_bits: Long1
     incoming_start: Int1
     incoming_links: Int1
-
-
-def records(kind: np.dtype, *columns: np.ndarray) -> np.ndarray:
-    """Return records from columns, each ``[n]``, or several of them ``[n, m]``, in the order of the fields."""
-    parts = [part for column in columns for part in (column.T if column.ndim > 1 else [column])]
-    table = np.zeros(len(parts[0]), kind)
-    for name, column in zip(kind.names or (), parts, strict=False):
-        table[name] = column
-    return table
 
 
 Driver = _record(
