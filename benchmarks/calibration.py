@@ -187,7 +187,7 @@ def draw(rows: pd.DataFrame, path: Path) -> None:
     save(draw_charts(charts), path)
 
 
-def run(config: CalibrationConfig, given: frozenset[str] = frozenset()) -> pd.DataFrame:
+def run(config: CalibrationConfig) -> pd.DataFrame:
     """Run the sets that the folder lacks, sum all of them up, and return their rows."""
     check_packages()
     from izoo.drivers.mcmc import SamplerConfig
