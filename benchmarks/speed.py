@@ -156,7 +156,7 @@ def this_machine() -> str:
     )
 
 
-def run(config: SpeedConfig, given: frozenset[str] = frozenset()) -> list[Row]:
+def run(config: SpeedConfig) -> list[Row]:
     """Measure, with a bar on the error stream meanwhile, and print the table."""
     print("Loading torch and the simulators.", flush=True)
     config = whole_machine(config) if config.machine else config
