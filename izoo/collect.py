@@ -29,13 +29,13 @@ main = COMMAND.main
 
 
 def load(folder: Path | str) -> TensorDictBase:
-    """Open a collected data set without reading it into memory.
+    """Read a collected data set into memory.
 
     Args:
         folder: what ``out=`` named.
 
     Returns:
-        steps ``[frames]``, memory-mapped; see :func:`izoo.training.dataset.load`.
+        steps ``[frames]``; see :func:`izoo.training.dataset.load`.
     """
     from izoo.training.dataset import load as load_dataset
 
