@@ -18,7 +18,6 @@ from izoo.console import counted
 from izoo.contexts.context import Context
 from izoo.envs import REFERENCE, simulator_of
 from izoo.envs.config import EnvConfig
-from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.metrics.summary import summarise
 from izoo.report.leaderboard import write_entries
@@ -45,14 +44,8 @@ class Subject:
     train_seed: int = 0
 
 
-def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Path:
-    """Evaluate as ``config`` says, print the summary, and return the results folder.
-
-    Args:
-        config: the options.
-        given: the options that were written; what the others are instead, :func:`defaults` says.
-    """
-    del given
+def evaluate(config: EvaluateConfig) -> Path:
+    """Evaluate as ``config`` says, print the summary, and return the results folder."""
     subject = resolve(config)
     source = subject.contexts.build()
     if config.task is None:
@@ -117,16 +110,7 @@ def resolve(config: EvaluateConfig) -> Subject:
     path = checkpoint.find(Path(config.run or ""), config.checkpoint)
     folder = checkpoint.run_of(path)
     algorithm, trained, state = run_folder.load_algorithm(path)
-    there, here = observation_names(trained.env), observation_names(config.env)
-    if there != here:
-        changed = [f"+{name}" for name in here if name not in there] + [
-            f"-{name}" for name in there if name not in here
-        ]
-        raise IzooError(
-            f"the run {folder} was trained on other observations than the env options describe "
-            f"({', '.join(changed) or 'another order'}); leave env.observed and env.neighbours out."
-        )
-    zoo.check_actions(f"the policy of {folder}", trained.env, config.env)
+    zoo.check_fits(f"the policy of {folder}", trained.env, config.env)
     run_folder.check_drivers(folder, trained, config.contexts)
     label = folder.name if [path] == checkpoint.listed(folder)[-1:] else f"{folder.name}-{path.stem}"
     record = PolicyRecord("trained", None, str(path), trained.algo.name, state["frames"])

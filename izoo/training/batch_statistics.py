@@ -7,7 +7,6 @@ from tensordict import TensorDictBase
 from izoo.algos.learners.base import MASK, REWARD
 from izoo.envs.mdp.frame import TOTALS
 from izoo.metrics.figures import level_tensors
-from izoo.metrics.masked import masked_mean
 from izoo.training.environments import NUMBERS, split_totals
 
 LOGGED = (
@@ -43,7 +42,7 @@ def episode_stats(batch: TensorDictBase, partial: int = 0) -> dict[str, float]:
     agents = mask.sum(-1).float()
     stats = {"agents": float(agents.mean()), "most_agents": float(agents.max())}
     if mask.any():
-        stats["reward"] = float(masked_mean(reward, mask, tuple(range(mask.ndim))))
+        stats["reward"] = float(reward[mask].mean())
     ended = batch.get(("next", "done")).squeeze(-1)
     totals = batch.get(("next", TOTALS))[ended]
     whole = split_totals(totals)[0]["steps"] > 0

@@ -16,6 +16,7 @@ from izoo.algos.learners.base import MASK
 from izoo.console import Interrupt, Progress, graceful_interrupt
 from izoo.envs import simulator_of
 from izoo.errors import UnfinishedError
+from izoo.processes import processor_s
 from izoo.training import checkpoint, loggers, plots, run_folder
 from izoo.training.baseline_episodes import BaselineComparison
 from izoo.training.batch_statistics import READS, episode_stats, unused_slots
@@ -58,7 +59,7 @@ class Session:
         self._batches: BatchSource | None = None
         self._baselines: BaselineComparison | None = None
         self._saved_at = state.frames if state.frames else -1
-        self._plotted_s = state.seconds
+        self._plotted_s, self._worked_s = state.seconds, 0.0
         self._threads = torch.get_num_threads()
 
     def run(self, show: Show | None = None) -> None:
@@ -113,6 +114,7 @@ class Session:
 
     def _learn(self, interrupt: Interrupt) -> None:
         """Collect and learn, batch after batch."""
+        self._worked_s = processor_s()
         state, reads = self.state, self.state.learner.reads
         batches = self._batches = state.collector(None if reads is None else (*reads, *READS))
         batched = simulator_of(self.config.simulator).batched
@@ -181,9 +183,11 @@ class Session:
         self.state.batches += 1
         self.state.episodes += int(stats.pop("episodes"))
         self.state.seconds += seconds
+        worked_s, self._worked_s = self._worked_s, processor_s()
         return {
             "frames": self.state.frames,
             "seconds": self.state.seconds,
+            "processor_s": self._worked_s - worked_s,
             "frames_per_s": batch.numel() / seconds,
             "episodes": self.state.episodes,
             **stats,
