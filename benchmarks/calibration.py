@@ -22,7 +22,7 @@ from izoo.cli.option_command import GOES_ON, OptionCommand
 from izoo.contexts.population import IDM_PARAMETERS, DriverPopulation
 from izoo.envs.model_version import MODEL_VERSION
 from izoo.errors import check_range, check_types
-from izoo.files import expanded
+from izoo.files import make_absolute
 from izoo.results.rows_file import Key, Row, RowsFile
 
 LIMIT_MPS = 16.0
@@ -61,7 +61,7 @@ class CalibrationConfig:
         check_range("sets", self.sets, 1, 1000)
         check_range("drivers", self.drivers, 5, 200)
         check_range("speed_noise_mps", self.speed_noise_mps, 0.0, 1.0, "m/s")
-        object.__setattr__(self, "out", str(expanded(self.out).absolute()))
+        make_absolute(self, "out")
 
 
 def true_population(number: int) -> DriverPopulation:
@@ -187,7 +187,7 @@ def draw(rows: pd.DataFrame, path: Path) -> None:
     save(draw_charts(charts), path)
 
 
-def run(config: CalibrationConfig, given: frozenset[str] = frozenset()) -> pd.DataFrame:
+def run(config: CalibrationConfig) -> pd.DataFrame:
     """Run the sets that the folder lacks, sum all of them up, and return their rows."""
     check_packages()
     from izoo.drivers.mcmc import SamplerConfig

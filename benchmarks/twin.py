@@ -1,12 +1,13 @@
 """How far the twin is from SUMO, on any contexts.
 
 ``python -m izoo.benchmarks.twin contexts=dataset contexts.path=NETS`` plays the same episodes on both: one and two
-vehicles alone, to 1e-6; for some policies every vehicle in every step, up to where the two part; for all policies CO2,
-delay and vehicles that crossed per approach; and what each policy saves over human driving. SUMO plays everything once
-more with one vehicle of every approach a step late (``late=1``): how far it is from itself then stands beside how far
-the twin is. The folder ``out`` is a results folder (:mod:`izoo.results.store`) with rows of both simulators, and gets
-``fidelity.json``, ``approaches.csv``, ``fidelity.png``, ``few.csv`` and ``steps.csv``; rows with late vehicles are in
-``late-1`` and so on. The same command goes on where it was stopped.
+vehicles alone, to 1e-6; for some policies every vehicle in every step, up to where the two part, and what drivers did
+(changes of lane, vehicles that passed on each signal, how queues left); for all policies CO2, delay and vehicles that
+crossed per approach; and what each policy saves over human driving. SUMO plays everything once more with one vehicle
+of every approach a step late (``late=1``): how far it is from itself then stands beside how far the twin is. The folder
+``out`` is a results folder (:mod:`izoo.results.store`) with rows of both simulators, and gets ``fidelity.json``,
+``approaches.csv``, ``fidelity.png``, ``few.csv`` and ``steps.csv``; rows with late vehicles are in ``late-1`` and so
+on. The same command goes on where it was stopped.
 """
 
 from __future__ import annotations
@@ -137,6 +138,7 @@ def run(config: FidelityConfig) -> Path:
     found = {
         "few": twin_fidelity.few(few),
         "exact": twin_fidelity.exactness(exact),
+        "driving": twin_fidelity.driving(exact),
         "groups": twin_fidelity.by_group(compared),
         "own": own if own.empty else twin_fidelity.by_group(own),
         "gains": gained,

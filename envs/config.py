@@ -22,6 +22,7 @@ EMIT_GROUPS = ("vehicles", "signal", "context", "metrics", "reward_vector", "tea
 STEP, VEHICLE, VEHICLE_AND_LINE = "step", "vehicle", "vehicle_and_line"
 SCOPES = (STEP, VEHICLE, VEHICLE_AND_LINE)
 ACCELERATION, SPEED = "acceleration", "speed"
+MAX_AGENTS = 4096
 ACTIONS = (ACCELERATION, SPEED)
 WHOLE_WAY, BEFORE, BEFORE_AND_BEHIND = ("speed",), ("speed_before",), ("speed_before", "speed_behind")
 BY_STEP = MappingProxyType({"decide": STEP, "action": ACCELERATION, "action_parts": WHOLE_WAY})
@@ -119,7 +120,7 @@ class EnvConfig:
         check_range("horizon_s", self.horizon_s, self.step_s, 86400.0, "s")
         check_range("warmup_s", self.warmup_s, 0.0, 86400.0, "s")
         check_range("drain_s", self.drain_s, 0.0, 86400.0, "s")
-        check_range("num_agents", self.num_agents, 1, 4096)
+        check_range("num_agents", self.num_agents, 1, MAX_AGENTS)
         check_range("num_vehicles", self.num_vehicles, 1, 8192)
         check_range("num_approaches", self.num_approaches, 1, 26)
         check_range("recycle_episodes", self.recycle_episodes, 1, 10**9)

@@ -17,7 +17,7 @@ Tensors = dict[str, Tensor]
 Memories = tuple[np.ndarray, ...]
 """Bytes of each array that is emitted, uint8, one behind the other for all environments."""
 KEPT = 4
-"""How many steps' memory is looked through for some that nobody holds: one who keeps every step has none."""
+"""How many steps' memory is searched for some that is free again; a caller that keeps every step leaves none."""
 ROW_KINDS = {"mask": 0, "vehicle_flags": VEHICLE_FLAGS.index("present")}
 """Arrays that say which rows of others hold something, and the column where they do so."""
 IN_ROWS = {"observation": 0, "vehicle_floats": 1, "vehicle_ints": 1, "vehicle_flags": 1}

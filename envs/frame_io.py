@@ -152,7 +152,7 @@ class FrameReader:
             self.tensors["lane_change"].copy_(agents.get("lane_change", None))
 
     def _write_defer(self, defer: np.ndarray | None) -> None:
-        # Whoever is interrupted here has not forgotten that flags may be set.
+        # If interrupted here, it is still recorded that flags may be set.
         if defer is not None:
             self._deferring = True
             np.not_equal(defer, 0, out=self._defer)

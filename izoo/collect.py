@@ -30,15 +30,15 @@ main = COMMAND.main
 
 
 def load(folder: Path | str) -> TensorDictBase:
-    """Open a collected data set.
+    """Read a collected data set into memory.
 
     Args:
         folder: what ``out=`` named.
 
     Returns:
-        Steps ``[frames]``, in the order of collection: environment after environment within a time step. One shard
-        stays memory-mapped, nothing is read; several are put together in memory, which :func:`replay_buffer`, where
-        steps that follow each other stand beside each other, does not do.
+        Steps ``[frames]``, in the order of collection: environment after environment within a time step. They are in
+        memory, with their empty slots; :func:`replay_buffer`, where steps that follow each other stand beside each
+        other, reads only what it samples.
 
     Raises:
         IzooError: the folder is not a finished data set of izoo, or a shard is missing.
@@ -47,8 +47,7 @@ def load(folder: Path | str) -> TensorDictBase:
 
     from izoo.training.dataset import load_shards
 
-    shards = load_shards(folder)
-    return shards[0] if len(shards) == 1 else torch.cat(shards)
+    return torch.cat([shard[:] for shard in load_shards(folder)])
 
 
 def replay_buffer(folder: Path | str, **options: Any) -> TensorDictReplayBuffer:

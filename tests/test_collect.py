@@ -22,7 +22,7 @@ from izoo.conf.train_options import CollectConfig
 from izoo.errors import IzooError
 from izoo.training import dataset
 from izoo.training.shard_writer import MANIFEST, ShardWriter
-from izoo.training.shards import ShardStorage
+from izoo.training.shards import Shard, ShardStorage, pack
 
 TOY = ["contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "env.emit=[context]"]
 
@@ -37,7 +37,9 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_data_load_back_memory_mapped(data: Path) -> None:
     steps = collect.load(data)
     assert steps.shape == (300,)
-    assert isinstance(steps["agents", "observation"], MemoryMappedTensor)
+    (shard,) = dataset.load_shards(data)
+    assert isinstance(shard.rows["agents", "observation"], MemoryMappedTensor)
+    assert len(shard.rows) < 2 * int(steps["agents", "mask"].sum()), "empty slots are not stored"
     mask = steps["agents", "mask"]
     assert bool(mask.any())
     action = steps["agents", "action"][mask]
@@ -48,6 +50,32 @@ def test_the_data_load_back_memory_mapped(data: Path) -> None:
     assert manifest["frames"] == 300
     assert len(manifest["observation_names"]) == steps["agents", "observation"].shape[-1]
     assert sorted(path.name for path in data.iterdir()) == [MANIFEST, "shard-00000"]
+
+
+def test_steps_are_read_as_they_were_written() -> None:
+    generator = torch.Generator().manual_seed(0)
+    held = torch.rand(2, 20, 6, generator=generator) < 0.3
+    held[:, 7] = False
+
+    def agents(mask: torch.Tensor) -> TensorDict:
+        number = torch.where(mask, torch.randint(0, 9, mask.shape, generator=generator), -1)
+        values = torch.where(mask[..., None], torch.rand(*mask.shape, 3, generator=generator), 0.0)
+        return TensorDict({"mask": mask, "number": number, "observation": values}, mask.shape)
+
+    following = TensorDict({"agents": agents(held[1]), "done": torch.zeros(20, 1, dtype=torch.bool)}, [20])
+    steps = TensorDict({"agents": agents(held[0]), "time": torch.arange(20), "next": following}, [20])
+    shard = Shard(pack(steps), 6)
+    for index in (slice(None), torch.tensor([7]), torch.tensor([19, 0, 7, 3, 19])):
+        assert bool((shard[index] == steps[index]).all())
+    with pytest.raises(ValueError, match="rows of agents"):
+        Shard(pack(steps).set(("steps", "count"), torch.ones(20, dtype=torch.int64)), 6)
+
+
+def test_the_size_is_said_before_anything_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert collect.main([*TOY, "policy=glide", "frames=100", f"out={tmp_path / 'out'}"]) == 0
+    assert re.search(
+        r"100 steps of some [\d.]+ kB: [\d.e-]+ GB in .* \([\d.e+]+ GB are free\)", capsys.readouterr().out
+    )
 
 
 def test_an_occupied_folder_is_refused(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -71,7 +99,7 @@ def test_shards_are_one_storage_that_reads_what_is_drawn(data: Path, tmp_path: P
     buffer = collect.replay_buffer(tmp_path, batch_size=64)
     whole, storage = torch.cat([collect.load(data)[worker::2] for worker in range(2)]), buffer.storage
     assert len(storage) == 300 and [len(shard) for shard in storage.shards] == [128, 128, 44]
-    assert all(isinstance(shard["agents", "observation"], MemoryMappedTensor) for shard in storage.shards)
+    assert any(isinstance(shard.rows["agents", "observation"], MemoryMappedTensor) for shard in storage.shards)
     key = ("agents", "observation")
     for index in (torch.tensor([299, 0, 127, 128, 5, 299]), slice(120, 260), slice(None), [3, -1], torch.arange(0)):
         assert torch.equal(storage.get(index)[key], whole[key][index])
@@ -167,6 +195,7 @@ MANIFESTS: dict[str, tuple[Callable[[dict[str, Any]], str], str]] = {
     "a list": (lambda manifest: "[1, 2]", "damaged"),
     "another format": (_changed(format="other"), "of format 'other'"),
     "no environments": (_changed(environments=0), "environments is 0"),
+    "no slots": (_changed(slots=0), "slots is 0"),
     "no shards": (_changed(shards=[]), "lacks any shard"),
     "a missing shard": (_shard(name="shard-00007"), "lacks shard-00007"),
     "the parent folder": (_shard(name=".."), "'..' is not the name of a shard"),
@@ -208,7 +237,7 @@ def test_a_data_set_with_a_file_cut_short_is_refused_and_left_alone(
 ) -> None:
     """Torch would extend the file with zeros, on disk."""
     shutil.copytree(data, tmp_path / "data")
-    path = next((tmp_path / "data").glob("shard-*/agents/observation.memmap"))
+    path = next((tmp_path / "data").glob("shard-*/rows/agents/observation.memmap"))
     break_it(path)
     before = path.stat().st_size if path.exists() else None
     with pytest.raises(IzooError, match=r"cannot read .*observation\.memmap has [\d,]+ bytes, and should have"):

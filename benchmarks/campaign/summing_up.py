@@ -5,6 +5,7 @@ Everything is read from the part's folder, so a folder that an earlier campaign 
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -34,8 +35,8 @@ from izoo.training.plots import PALETTE, Chart, Line, Series, band, draw, save
 from izoo.training.validation import VALIDATION_FILE
 
 SUMMARY_FILE, CURVES_FILE, PICTURE_FILE = "summary.json", "curves.png", "saved.png"
-DRAWN = {SAVED: "CO2 saved (%)", "delay_change_s": "delay added (s)"}
-"""Figures of the curves."""
+DRAWN = {SAVED: ("CO2 saved (%)", (-10.0, 100.0)), plots.DELAY: ("delay added (s)", (-100.0, 20.0))}
+"""Figures of the curves, and beyond which values they are cut off: one bad run would hide all others."""
 COSTS = ("co2_g", "delay_s")
 """Figures that are traded; lower is better."""
 DASHES = ("-", "--", ":", "-.")
@@ -55,9 +56,10 @@ def sum_up(run: PartRun, lacking: Sequence[Any] = ()) -> list[Summary]:
             found.append(summarise(_paired(rows), run.part.reference, _paired(seen)))
     write_json(folder / SUMMARY_FILE, found)
     if found:
-        charts = [plots.forest(tables.entries(found[0]))]
-        traded = plots.tradeoff(found[0])
-        save(draw([*charts, *([traded] if traded else [])], columns=2), folder / PICTURE_FILE)
+        shown = tables.entries(found[0])
+        charts = [dataclasses.replace(plots.forest(shown, column=column), title="") for column in range(2)]
+        traded = plots.tradeoff(found[0]) if run.part.tradeoff else None
+        save(draw([*charts, *([traded] if traded else [])], shown.title), folder / PICTURE_FILE)
     if not lacking:
         write_entries(folder)
     curves = draw_curves(folder, run.part.grid)
@@ -177,18 +179,21 @@ def draw_curves(folder: Path, grid: Mapping[str, Mapping[str, Any]] | None = Non
     others = {name: [first + number] for number, name in enumerate(name for name in runs if name not in places)}
     panels = factors[2] if len(factors) > 2 else [""]
     charts = []
-    for (number, panel), (column, label) in itertools.product(enumerate(panels), DRAWN.items()):
+    for (number, panel), (column, (label, limits)) in itertools.product(enumerate(panels), DRAWN.items()):
         series: list[Series] = []
         for name in runs:
             own = places.get(name) or others[name]
             if len(own) < 3 or own[2] == number:
-                dash = DASHES[own[1] % len(DASHES)] if len(own) > 1 else "-"
+                dash = DASHES[(own[1] if len(own) > 1 else own[0] // len(PALETTE)) % len(DASHES)]
                 shown = name.removesuffix(f"-{panel}") if panel else name
                 lines = [curve(run, column) for run in runs[name]]
                 series += _marks(lines, shown, PALETTE[own[0] % len(PALETTE)], dash)
         if series:
             title = f"{label}, {panel}" if panel else label
-            charts.append(Chart(f"{column}-{panel}".strip("-"), title, series, "decisions"))
+            values = np.concatenate([np.ravel(one.y) for one in series])
+            low, high = np.clip([np.nanmin(values) - 0.5, np.nanmax(values) + 0.5], *limits)
+            name = f"{column}-{panel}".strip("-")
+            charts.append(Chart(name, title, series, "decisions", y_range=(low, high), log_x=True))
     return charts
 
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from tensordict import TensorDictBase
 
+from izoo.benchmarks.fidelity.driving_statistics import COUNTS, DrivingStatistics
 from izoo.benchmarks.fidelity.single_vehicle import Departure
 from izoo.contexts.context import Context
 from izoo.envs import SIMULATORS, EcoDrivingEnv
@@ -25,24 +26,28 @@ TOLERANCE = 1e-3
 """Positions and speeds (m, m/s) that differ by no more are the same."""
 SPEED_EDGES_MPS, ACCEL_EDGES_MPS2 = np.arange(0.0, 40.1, 0.25), np.arange(-10.0, 5.05, 0.1)
 HISTOGRAMS = {"ks_speed": ("speed_mps", SPEED_EDGES_MPS), "ks_accel": ("accel_mps2", ACCEL_EDGES_MPS2)}
+COUNTED = tuple(f"{name}_{side}" for side in SIMULATORS for name in COUNTS)
+"""What is counted of drivers in an episode, on each side."""
 KEY = ("policy", "weights", "context_hash", "seed")
 TEXT = ("policy", "weights", "context_hash", "context", "demand", "where")
-NUMBERS = ("seed", "adoption", "lanes", "decisions", "parted", *HISTOGRAMS)
+NUMBERS = ("seed", "adoption", "lanes", "decisions", "parted", *HISTOGRAMS, *COUNTED)
 Places = dict[int, tuple[str, float, float]]
 """Lane, position (m) and speed (m/s) by vehicle."""
 
 
 class Watched:
-    """An episode on one simulator: where every vehicle is before each decision.
+    """An episode on one simulator: where every vehicle is before each decision, and what drivers do.
 
     Attributes:
         places: before each decision.
         histograms: counts of speeds and of accelerations of all vehicles and decisions.
+        driving: what drivers did; it is right where a decision lasts a step, since otherwise nobody sees when.
     """
 
     def __init__(self, env: EcoDrivingEnv, policy: Policy, context: Context, seed: int) -> None:
         self.places: list[Places] = []
         self.histograms = {name: np.zeros(len(edges) - 1) for name, (_, edges) in HISTOGRAMS.items()}
+        self.driving = DrivingStatistics()
 
         def act(state: TensorDictBase) -> TensorDictBase:
             self._add(env.scene())
@@ -54,6 +59,7 @@ class Watched:
         self.places.append(places(scene))
         for name, (column, edges) in HISTOGRAMS.items():
             self.histograms[name] += np.histogram(np.clip(scene.vehicles[column], edges[0], edges[-1]), edges)[0]
+        self.driving.add(scene)
 
 
 def places(scene: Scene) -> Places:
@@ -81,16 +87,22 @@ def compared(sumo: Watched, twin: Watched, hold_steps: int = 1) -> Row:
 
     Returns:
         ``decisions``, ``parted`` (the first step that differs; missing where none does), ``where`` (the vehicle that
-        differs there), ``ks_speed`` and ``ks_accel``.
+        differs there), ``ks_speed``, ``ks_accel``, and :data:`COUNTED`, missing where decisions last longer than a
+        step.
     """
     both = enumerate(zip(sumo.places, twin.places, strict=False))
     found = next((apart for k, pair in both if (apart := parting(k * hold_steps, *pair)) is not None), None)
-    return {
+    row: Row = {
         "decisions": min(len(sumo.places), len(twin.places)),
         "parted": None if found is None else found.step,
         "where": None if found is None else str(found),
         **{name: ks_distance(sumo.histograms[name], twin.histograms[name]) for name in HISTOGRAMS},
+        **dict.fromkeys(COUNTED),
     }
+    if hold_steps == 1:
+        for side, watched in (("sumo", sumo), ("twin", twin)):
+            row |= {f"{name}_{side}": count for name, count in watched.driving.counts().items()}
+    return row
 
 
 def compare_steps(

@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from izoo.benchmarks.fidelity.driving_statistics import COUNTS, rates
+from izoo.benchmarks.fidelity.trajectory_diff import COUNTED
+from izoo.envs import SIMULATORS
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import HUMAN
@@ -151,6 +154,26 @@ def few(rows: Sequence[Row]) -> pd.DataFrame:
     return groups["parted"].agg(episodes="size", same=lambda parted: int(parted.isna().sum())).reset_index()
 
 
+def driving(exact: pd.DataFrame) -> pd.DataFrame:
+    """Sum up what drivers did, a row per policy, demand and measure, with its value in SUMO and on the twin.
+
+    Measures are those of :func:`izoo.benchmarks.fidelity.driving_statistics.rates`, then
+    :data:`izoo.benchmarks.fidelity.driving_statistics.COUNTS`.
+
+    Args:
+        exact: rows of :func:`izoo.benchmarks.fidelity.trajectory_diff.compare_steps`; those without counts are left
+            out.
+    """
+    exact = exact.dropna(subset=list(COUNTED)) if len(exact) else exact
+    rows = []
+    for key, group in exact.groupby(["policy", "demand"], sort=False) if len(exact) else ():
+        about = dict(zip(("policy", "demand"), key, strict=True))
+        counts = {side: {name: float(group[f"{name}_{side}"].sum()) for name in COUNTS} for side in ("sumo", "twin")}
+        found = {side: rates(of) | of for side, of in counts.items()}
+        rows += [about | {"measure": name} | {side: found[side][name] for side in found} for name in found["sumo"]]
+    return pd.DataFrame(rows)
+
+
 def exactness(exact: pd.DataFrame) -> pd.DataFrame:
     """Sum up episodes that were compared step by step, a row per policy, demand and kind of approach.
 
@@ -171,11 +194,23 @@ def exactness(exact: pd.DataFrame) -> pd.DataFrame:
     return summed.assign(same=summed["episodes"] - summed["parted"]).reset_index()
 
 
+MEASURE_TITLES = {
+    "changes_needed": "lane changes, needed",
+    "changes_left": "to the left",
+    "changes_right": "to the right",
+    "passed": "vehicles that passed",
+    "permissive_lefts": "on a permissive left",
+    "passed_on_red": "on red",
+    "saturation_flow_vph": "saturation flow, veh/h",
+    "start_up_lag_s": "start-up lag, s",
+}
+"""Measures of :func:`driving` that are printed."""
 _ABOUT = "policy; CVs=adoption|.0%; demand; "
 COLUMNS = {
     "few": "vehicles; commanded; episodes; same",
     "exact": "policy; demand; lanes; n=episodes; same; parted at=median_parted|.0f; KS speed=ks_speed|.3f; "
     "accel.=ks_accel|.3f",
+    "driving": "policy; demand; measure; SUMO=sumo; twin",
     "co2": f"{_ABOUT}lanes; n=approaches; mean|d|=co2_mean_abs|.1%; median=co2_median_abs|.1%; bias=co2_bias|+.1%; "
     "> 5 %=co2_wide; beyond=co2_beyond",
     "delay": f"{_ABOUT}lanes; delay, s=delay_s|+.2f; crossed=crossed|+.1%",
@@ -203,17 +238,23 @@ def verdict(compared: pd.DataFrame, gained: pd.DataFrame) -> str:
 
 
 def tables(found: Mapping[str, pd.DataFrame]) -> list[Table]:
-    """Return what was found (``few``, ``exact``, ``groups``, ``own``, ``gains``) as tables, from the
+    """Return what was found (``few``, ``exact``, ``driving``, ``groups``, ``own``, ``gains``) as tables, from the
     closest look to the widest, those that hold anything.
     """
+    done = found["driving"]
+    if len(done):
+        done = done[done["measure"].isin(MEASURE_TITLES)]
+        sides = {side: done[side].map(lambda x: _written(x, ",.0f" if x > 100.0 else ",.4g")) for side in SIMULATORS}
+        done = done.assign(measure=done["measure"].map(MEASURE_TITLES), **sides)
     late = "SUMO with a late vehicle against SUMO"
     shown = [
         _table("1. One and two vehicles alone, to 1e-6", found["few"], "few"),
         _table("2. Every vehicle and step; distance of speeds and accelerations", found["exact"], "exact"),
-        _table("3. CO2 per vehicle, twin against SUMO", found["groups"], "co2"),
-        _table("3. Delay and vehicles, twin against SUMO", found["groups"], "delay"),
-        _table(f"3. CO2 per vehicle, {late}", found["own"], "co2"),
-        _table("4. CO2 saved over human driving, %", found["gains"], "gains"),
+        _table("3. What drivers did, summed over episodes", done, "driving"),
+        _table("4. CO2 per vehicle, twin against SUMO", found["groups"], "co2"),
+        _table("4. Delay and vehicles, twin against SUMO", found["groups"], "delay"),
+        _table(f"4. CO2 per vehicle, {late}", found["own"], "co2"),
+        _table("5. CO2 saved over human driving, %", found["gains"], "gains"),
     ]
     return [table for table in shown if table.rows]
 

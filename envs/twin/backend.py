@@ -265,7 +265,7 @@ class TwinBackend:
 
     @contextlib.contextmanager
     def _whole(self) -> Iterator[None]:
-        """End all episodes where what is done with them is broken off: who drove and what was counted differ then."""
+        """End all episodes if interrupted: driving and sums would no longer belong to the same step."""
         try:
             yield
         except BaseException:

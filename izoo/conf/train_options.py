@@ -367,7 +367,7 @@ class CollectConfig(RolloutConfig):
     frames: int = 10_000
     out: str | None = None
     contexts: ContextsConfig = field(default_factory=PcgContexts)
-    env: EnvConfig = field(default_factory=lambda: EnvConfig(emit=()))
+    env: EnvConfig = field(default_factory=training_env)
     shard_frames: int = 100_000
     twin: TwinConfig = field(default_factory=TwinConfig)
 

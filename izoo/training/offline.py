@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
 import torch
+from tensordict import TensorDictBase
 from torch import nn
 from torchrl.collectors import Collector
 from torchrl.envs.utils import ExplorationType
@@ -23,6 +25,7 @@ from izoo.results.playing import Policy
 from izoo.results.policies import as_policy
 from izoo.training import run_folder
 from izoo.training.shard_writer import MANIFEST, ShardWriter
+from izoo.training.shards import pack
 
 FRAMES_PER_BATCH = 1000
 
@@ -56,7 +59,10 @@ def collect(config: CollectConfig) -> Path:
         try:
             with graceful_interrupt() as interrupt, Progress(config.frames) as bar:
                 for batch in collector:
-                    writer.write(batch.transpose(0, 1).reshape(-1))
+                    steps = batch.transpose(0, 1).reshape(-1)
+                    if writer.frames == 0:
+                        _say_size(config, out, steps)
+                    writer.write(steps)
                     bar.update(writer.frames)
                     if interrupt.requested or writer.frames >= config.frames:
                         break
@@ -73,6 +79,13 @@ def collect(config: CollectConfig) -> Path:
     if interrupt.requested:
         raise KeyboardInterrupt
     return out
+
+
+def _say_size(config: CollectConfig, out: Path, steps: TensorDictBase) -> None:
+    """Say how large the data will be, by the first steps ``[n]``."""
+    step_bytes = pack(steps).bytes() / len(steps)
+    size, free = (f"{number / 1e9:.3g} GB" for number in (step_bytes * config.frames, shutil.disk_usage(out).free))
+    print(f"{config.frames:,} steps of some {step_bytes / 1e3:.1f} kB: {size} in {out} ({free} are free).", flush=True)
 
 
 def _make_collector(config: CollectConfig, policy: Policy, schedule: RandomSchedule) -> Collector:

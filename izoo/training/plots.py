@@ -87,7 +87,8 @@ class Chart:
         series: the marks.
         x_label, y_label: of the axes.
         rows: names of rows, where ``y`` counts rows from the top.
-        x_range: of the axis; ``None``: what the data need.
+        x_range, y_range: of the axes; ``None``: what the data need.
+        log_x: whether the x axis is logarithmic.
         zero: mark the line at 0 of the measured axis.
     """
 
@@ -100,6 +101,8 @@ class Chart:
     alt: str = ""
     rows: Sequence[str] = ()
     x_range: tuple[float, float] | None = None
+    y_range: tuple[float, float] | None = None
+    log_x: bool = False
     zero: bool = False
 
 
@@ -238,6 +241,10 @@ def _draw_chart(axes: Axes, chart: Chart) -> None:
         axes.axvline(0.0, color=QUIET, linewidth=0.8)
     if chart.x_range:
         axes.set_xlim(chart.x_range)
+    if chart.y_range:
+        axes.set_ylim(chart.y_range)
+    if chart.log_x:
+        axes.set_xscale("log")
     if chart.x_label == FRAMES:  # steps are written short (150k, 1.5M), and far enough apart
         axes.xaxis.set_major_locator(MaxNLocator(nbins=5))
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))

@@ -7,20 +7,24 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from tensordict import TensorDictBase
+import torch
+from tensordict import TensorDict, TensorDictBase
 
 from izoo import __version__
 from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import CollectConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.files import NO_ROOM, write_json
+from izoo.training.shards import pack
 
 MANIFEST = "manifest.json"
-FORMAT = "izoo-steps-2"
+FORMAT = "izoo-steps-3"
 
 
 class ShardWriter:
     """Writes steps into memory-mapped shards of a given length, and the manifest after each finished one.
+
+    The steps of a shard are held in memory, without empty slots, until it is full.
 
     Args:
         config: options of the collection.
@@ -31,34 +35,33 @@ class ShardWriter:
         self.config, self.out = config, out
         self.frames = 0
         self._shards: list[dict[str, Any]] = []
-        self._open: TensorDictBase | None = None
+        self._parts: list[TensorDictBase] = []
         self._filled = 0
 
     def write(self, steps: TensorDictBase) -> None:
         """Append ``steps [n]``, as far as they are still wanted."""
         steps = steps[: self.config.frames - self.frames]
         while len(steps) > 0:
-            if self._open is None:
-                length = min(self.config.shard_frames, self.config.frames - self.frames)
-                self._open = steps[0].expand(length).memmap_like(str(self._partial))
-                reserve(self._partial)
-                self._filled = 0
-            part = steps[: len(self._open) - self._filled]
-            self._open[self._filled : self._filled + len(part)] = part
+            part = steps[: self.config.shard_frames - self._filled]
+            self._parts.append(pack(part))
             self._filled += len(part)
             self.frames += len(part)
             steps = steps[len(part) :]
-            if self._filled == len(self._open):
+            if self._filled == self.config.shard_frames or self.frames == self.config.frames:
                 self.finish_shard()
 
     def finish_shard(self) -> None:
         """Put the shard that is being filled in its place, and name it in the manifest."""
-        if self._open is None:
+        if not self._parts:
             return
         name = f"shard-{len(self._shards):05d}"
-        self._open = None
+        shard = TensorDict({key: torch.cat([part[key] for part in self._parts]) for key in ("steps", "rows")}, [])
+        mapped = shard.memmap_like(str(self._partial))
+        reserve(self._partial)
+        mapped.update_(shard)
         self._partial.rename(self.out / name)
         self._shards.append({"name": name, "frames": self._filled})
+        self._parts, self._filled = [], 0
         self._write_manifest()
 
     def discard(self) -> None:
@@ -76,6 +79,7 @@ class ShardWriter:
             "frames": sum(shard["frames"] for shard in self._shards),
             "simulator": self.config.simulator,
             "environments": self.config.environments,
+            "slots": self.config.env.num_agents,
             "observation_names": list(observation_names(self.config.env)),
             "shards": self._shards,
             "options": to_mapping(self.config),

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data.replay_buffers.storages import Storage
@@ -49,6 +49,61 @@ def check_files(folder: Path) -> dict[str, tuple[str, list[int]]]:
     return leaves
 
 
+def pack(steps: TensorDictBase) -> TensorDict:
+    """Return steps ``[n]`` as they are stored: without empty slots.
+
+    Returns:
+        ``steps`` ``[n]``: everything but the agents, and ``count``, how many rows of agents each has; ``rows`` ``[R]``:
+        the agents of all steps, one after the other, in slots that hold a vehicle before or after the step, with
+        their ``slot``.
+    """
+    held = steps["agents", "mask"] | steps["next", "agents", "mask"]
+    rows = {
+        name: steps[key].apply(lambda leaf: leaf[held], batch_size=[int(held.sum())])
+        for name, key in (("agents", "agents"), ("next", ("next", "agents")))
+    }
+    rows["slot"] = held.nonzero()[:, 1].short()
+    rest = steps.exclude("agents", ("next", "agents")).set("count", held.sum(-1))
+    return TensorDict({"steps": rest, "rows": TensorDict(rows, [len(rows["slot"])])}, [])
+
+
+class Shard:
+    """Memory-mapped steps; an index reads what it names and fills the empty slots with zeros (``number``: -1).
+
+    Args:
+        packed: what :func:`pack` returned.
+        slots: of an environment.
+    """
+
+    def __init__(self, packed: TensorDictBase, slots: int) -> None:
+        self.steps, self.rows, self.slots = packed["steps"], packed["rows"], slots
+        count = self.steps["count"]
+        self._ends = count.cumsum(0)
+        if bool((count < 0).any()) or int(count.sum()) != len(self.rows):
+            raise ValueError(f"its steps have {int(count.sum())} rows of agents, and {len(self.rows)} are there")
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+    def __getitem__(self, index: Tensor | slice) -> TensorDictBase:
+        """Return the steps ``[n]`` that an index of one dimension names."""
+        steps = self.steps[index].to_tensordict()
+        count, ends = steps.pop("count"), self._ends[index]
+        place = torch.arange(len(steps)).repeat_interleave(count)
+        shift = (ends - count.cumsum(0)).repeat_interleave(count)
+        rows = self.rows[torch.arange(len(place)) + shift]
+        slot = rows["slot"].long()
+
+        def padded(name: str, leaf: Tensor) -> Tensor:
+            full = leaf.new_full((len(steps), self.slots, *leaf.shape[1:]), -1 if name == "number" else 0)
+            full[place, slot] = leaf
+            return full
+
+        for name, key in (("agents", "agents"), ("next", ("next", "agents"))):
+            steps.set(key, rows[name].named_apply(padded, batch_size=[len(steps), self.slots]))
+        return steps
+
+
 class ShardStorage(Storage):
     """Memory-mapped shards as one sequence of steps, those of one environment after those of another; read only.
 
@@ -56,11 +111,11 @@ class ShardStorage(Storage):
     others.
 
     Args:
-        shards: steps ``[frames of the shard]`` with the same leaves, environment after environment within a time step.
+        shards: with the same leaves, environment after environment within a time step.
         environments: how many stepped together.
     """
 
-    def __init__(self, shards: Sequence[TensorDictBase], environments: int = 1) -> None:
+    def __init__(self, shards: Sequence[Shard], environments: int = 1) -> None:
         super().__init__(sum(len(shard) for shard in shards))
         self.shards, self.environments = list(shards), environments
         self._starts = torch.tensor([0, *itertools.accumulate(len(shard) for shard in shards)])
@@ -85,7 +140,7 @@ class ShardStorage(Storage):
         if len(flat) > 0 and not (int(flat.min()) >= 0 and int(flat.max()) < len(self)):
             raise IndexError(f"an index is out of range: the data set has {len(self)} steps")
         if len(flat) == 0:
-            return self.shards[0][:0]
+            return self.shards[0][flat]
         flat = self._stored(flat)
         owner = torch.searchsorted(self._starts, flat, right=True) - 1
         parts, places = [], []
@@ -97,8 +152,8 @@ class ShardStorage(Storage):
         return rows[0] if wanted.ndim == 0 else rows.reshape(wanted.shape)
 
     def leaf(self, key: NestedKey) -> Tensor:
-        """Return one leaf of all steps ``[frames, ...]``; the others are not read."""
-        return torch.cat([shard.get(key) for shard in self.shards])[self._stored(torch.arange(len(self)))]
+        """Return one leaf, not of agents, of all steps ``[frames, ...]``; the others are not read."""
+        return torch.cat([shard.steps.get(key) for shard in self.shards])[self._stored(torch.arange(len(self)))]
 
     def _stored(self, steps: Tensor) -> Tensor:
         """Return where steps ``[n]`` of this sequence are stored; the first environments may have a step more."""

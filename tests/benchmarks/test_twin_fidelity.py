@@ -145,6 +145,15 @@ def test_where_two_scenes_part() -> None:
     assert gone is not None and gone.twin[0] == "" and "outside" in str(gone)
 
 
+def test_episodes_without_counts_are_left_out_of_what_drivers_did() -> None:
+    without = pd.DataFrame(
+        {"policy": ["glide"], "demand": ["one"], **{name: [np.nan] for name in twin_fidelity.COUNTED}}
+    )
+    assert twin_fidelity.driving(without).empty
+    both = pd.concat([without, without.fillna(2.0)], ignore_index=True)
+    assert (twin_fidelity.driving(both).set_index("measure")["sumo"]["passed_left_red"]) == 2.0
+
+
 def watched(policy: str, context: Context, config: EnvConfig) -> list[Watched]:
     """An episode in SUMO and on the twin."""
     found = []
@@ -163,6 +172,7 @@ def test_both_are_compared_before_each_decision() -> None:
     config = EnvConfig(horizon_s=95.0, warmup_s=30.0, hold_s=2.0, emit=())
     row = compared(*watched("glide", procedural_context(adoption=0.5), config), config.hold_steps)
     assert row["decisions"] == 33 and row["parted"] is None and row["ks_speed"] == 0.0
+    assert row["queues_sumo"] is None, "between decisions nobody sees which vehicle passes when"
 
 
 @pytest.mark.slow
@@ -174,6 +184,8 @@ def test_a_late_vehicle_is_late_in_sumo_and_on_the_twin() -> None:
         both = watched("uncommanded", context, config)
         row = compared(*both)
         assert row["parted"] is None, row["where"]
+        sumo, twin_ = (each.driving.counts() for each in both)
+        assert sumo == twin_ and sumo["passed_straight_priority"] > 0
         seen[late_vehicle] = both[0].histograms["ks_speed"]
     assert not np.array_equal(seen[0], seen[3])
 
@@ -231,13 +243,15 @@ def test_the_command_goes_on_where_it_was(tmp_path: Path, capsys: pytest.Capture
     assert found["late"] == 1 and [row["policy"] for row in found["own"]] == [row["policy"] for row in found["groups"]]
     assert any(row["co2_mean_abs"] > 0.0 for row in found["own"])  # the late vehicle did come late
     assert [row["same"] for row in found["few"]] == [1, 1, 1]  # one vehicle, two, and two commanded
+    measured = {row["measure"]: (row["sumo"], row["twin"]) for row in found["driving"]}
+    assert measured["passed"][0] > 0 and measured["passed"][0] == measured["passed"][1]
     assert found["exact"][0]["episodes"] == 1 and (out / "fidelity.png").stat().st_size > 10_000
     capsys.readouterr()
     assert twin.main([*words, "-v"]) == 0  # nothing is left to be played
     assert {name: (out / name).read_bytes() for name in names} == first
     shown = capsys.readouterr().out
     assert "\u2026" not in shown, "the tables fit 80 columns"
-    assert all(f"\n{number}. " in shown for number in range(1, 5)) and "uncommanded" in shown
+    assert all(f"\n{number}. " in shown for number in range(1, 6)) and "uncommanded" in shown
     assert shown.rstrip().splitlines()[-1].startswith("CO2 per vehicle on the twin is ")
     assert twin.main([*words, "env.horizon_s=151"]) == 2 and "horizon_s 150.0 -> 151.0" in capsys.readouterr().err
 
@@ -255,7 +269,7 @@ def test_a_context_in_which_nobody_drives_is_not_compared_step_by_step() -> None
     assert quiet.demand_approaches == ()
     glide = [as_policy("glide", EnvConfig())]
     assert compare_steps([quiet], EpisodeSeeds(0, 1), EnvConfig(), glide, RowsFile(None, ())) == []
-    assert twin_fidelity.exactness(pd.DataFrame()).empty
+    assert twin_fidelity.exactness(pd.DataFrame()).empty and twin_fidelity.driving(pd.DataFrame()).empty
 
 
 @pytest.mark.slow

@@ -16,8 +16,9 @@ from izoo.algos.actions.action_modes import AdviseAction
 from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.benchmarks import twin
+from izoo.benchmarks.campaign.__main__ import CampaignConfig
 from izoo.benchmarks.campaign.experiment import read_experiment
-from izoo.benchmarks.campaign.jobs import Machine, PartRun
+from izoo.benchmarks.campaign.jobs import PartRun
 from izoo.cli.compose import compose_config
 from izoo.cli.zoo import ZOO, _changed
 from izoo.conf.train_options import TrainConfig
@@ -222,7 +223,7 @@ def test_an_exported_policy_is_an_entry_of_the_benchmarks(
     (tmp_path / "mine.yaml").write_text(
         "entries: {mine: {policy: mine.pt}}\nparts: {lane: {task: busy_lane, entries: [mine], contexts: 1}}\n"
     )
-    run = PartRun(read_experiment(str(tmp_path / "mine.yaml")), "lane", tmp_path, Machine())
+    run = PartRun(read_experiment(str(tmp_path / "mine.yaml")), "lane", tmp_path, CampaignConfig())
     monkeypatch.chdir(tmp_path)
     ((kind, mine),) = run.entries.values()
     assert (kind, mine.policy) == ("scripted", str(exported)), "a campaign goes on from any folder"

@@ -55,11 +55,11 @@ class ThreadPool:
     def _settle(self) -> None:
         """Wait until no helper is at work any more, however often that is interrupted.
 
-        Whoever hears of a failure may let go of the memory that the others work on.
+        After a failure the caller may free the memory that the helpers work on.
         """
         while True:
             try:
-                # Helpers take orders in turn, so whoever has answered this one has ended those before it.
+                # A helper takes orders in turn: one that has answered this order has ended those before it.
                 reports: _Reports = SimpleQueue()
                 for orders in self._orders:
                     orders.put((_do_nothing, reports))
@@ -91,7 +91,7 @@ def _help(number: int, orders: SimpleQueue[_Order | None], begin: Callable[[], N
             task(number)
         except BaseException as failure:
             report = failure
-        # Whoever has heard the report may let everything go: nothing is held here until the next order.
+        # After reporting, the thread holds no references, so the caller may free its arrays.
         del order, task
         reports.put(report)
         del report, reports

@@ -1,4 +1,4 @@
-"""Nets on disk, by content hash: whole or absent, whoever reads or writes at the same time."""
+"""Nets on disk, by content hash: whole or absent, also when several processes read and write at once."""
 
 from __future__ import annotations
 
