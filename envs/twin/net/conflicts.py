@@ -141,7 +141,7 @@ class _Search:
         waiting = [
             row
             for row in waiting
-            if entry not in responses.get(entries[row], ()) and self.lanes[links[entries[row]].edge.from_lane] != road
+            if entry not in responses.get(entries[row], ()) and self.lanes[links[entries[row]].from_lane].edge != road
         ]
         return list(dict.fromkeys([*foes, *waiting]))
 
