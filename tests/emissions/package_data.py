@@ -17,7 +17,7 @@ from izoo.contexts.cities.weather import CITY_COUNTIES
 from izoo.emissions.classes import CLASSES, FUELS
 from izoo.emissions.tables import DATA
 from izoo.traffic.fleet import CALENDAR_YEAR, FLEET_TYPES, OLDEST_AGE
-from tests.emissions.reference import RATES, SOURCE_NAMES, FUEL_NAMES, states
+from tests.emissions.reference import FUEL_NAMES, RATES, SOURCE_NAMES, states
 
 
 def installed(*parts: str) -> Path:
