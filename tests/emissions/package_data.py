@@ -1,6 +1,6 @@
-"""What izoo carries of the package ``neuralmoves``: made from an installed one by ``python -m tests.emissions.package_data``.
+"""What izoo carries of the package ``neuralmoves``; ``python -m tests.emissions.package_data`` writes it anew.
 
-The package asks for numpy below 2, but reading it needs no particular numpy: ``pip install --no-deps neuralmoves==0.4.0``.
+That needs ``pip install --no-deps neuralmoves==0.4.0``: the package asks for numpy below 2 but runs with any.
 """
 
 from __future__ import annotations
