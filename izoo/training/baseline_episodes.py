@@ -32,7 +32,6 @@ from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import HUMAN, UNCOMMANDED
 from izoo.results.playing import VEHICLE_REWARD, VEHICLE_SPANS, Series
 from izoo.results.rollout import Play, Played, rollout
-from izoo.training.batch_size import num_envs
 from izoo.training.environments import NUMBERS, split_totals
 from izoo.training.reward_to_go import RewardToGo
 
@@ -98,11 +97,11 @@ class BaselineSchedule:
         self.config, self.schedule, self.driver, self.stride, self.cache = config, schedule, driver, stride, cache
         self.record, self.env = record, _by_step(config.env)
         if config.env.decide == STEP:
-            episodes = num_envs(config) + config.total_frames / config.env.decisions
+            episodes = config.environments + config.total_frames / config.env.decisions
             count = math.ceil(episodes / stride)
             self.block = math.ceil(count / math.ceil(count / BLOCK))
         else:  # how many episodes the run needs is not known, but the environments play as many at a time
-            self.block = math.ceil(num_envs(config) / stride)
+            self.block = math.ceil(config.environments / stride)
         self._blocks: dict[int, dict[int, Episode]] = {}
         self._stream: Generator[Played, None, None] | None = None
         self._following = -1
