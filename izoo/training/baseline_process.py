@@ -22,7 +22,7 @@ from izoo.processes import ChildProcess, receive, send
 from izoo.results.playing import Play, Series
 from izoo.results.rollout import rollout
 
-NICENESS = 5
+NICENESS = 10
 ATTEMPTS = 2
 """How often a block is begun before the loss of its process ends the run."""
 
