@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from izoo.envs import SIMULATORS, simulator_of
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.errors import UnfinishedError
 from izoo.processes import ChildProcess, receive, send
@@ -47,7 +48,7 @@ class BaselineProcess:
     """
 
     def __init__(self, **options: Any) -> None:
-        self._options = cloudpickle.dumps(options)
+        self._options = cloudpickle.dumps((simulator_of(options["simulator"]), options))
         self._child: ChildProcess | None = None
         self._closed = False
         self._lock = threading.Lock()
@@ -107,7 +108,8 @@ def main(descriptor: int) -> None:
     torch.set_num_threads(1)
     connection = socket.socket(fileno=descriptor)
     with contextlib.suppress(EOFError, OSError):
-        options = pickle.loads(receive(connection))
+        simulator, options = pickle.loads(receive(connection))
+        SIMULATORS[options["simulator"]] = simulator  # it may have been added by the parent's program
         while True:
             send(connection, pickle.dumps(_answer(*pickle.loads(receive(connection)), options)))
 
