@@ -111,7 +111,8 @@ def main(descriptor: int) -> None:
         simulator, options = pickle.loads(receive(connection))
         SIMULATORS[options["simulator"]] = simulator  # it may have been added by the parent's program
         while True:
-            send(connection, pickle.dumps(_answer(*pickle.loads(receive(connection)), options)))
+            plays, record = pickle.loads(receive(connection))
+            send(connection, pickle.dumps(_answer(plays, record, options)))
 
 
 def _answer(plays: Sequence[Play], record: Sequence[str], options: Mapping[str, Any]) -> list[Episode] | Exception:

@@ -74,7 +74,7 @@ def main(
         for number, batch in enumerate(collector):
             algorithm.update(batch.exclude("collector"), number / batches)
             collector.update_policy_weights_(algorithm.policy)
-            reward = masked_mean(batch[("next", *REWARD)].squeeze(-1), batch[MASK], tuple(range(batch[MASK].ndim)))
+            reward = masked_mean(batch.get(("next", *REWARD)).squeeze(-1), batch[MASK], tuple(range(batch[MASK].ndim)))
             seconds, begin = time.perf_counter() - begin, time.perf_counter()
             history.append((float(reward), frames / seconds))
             print(f"batch {number + 1}: reward {float(reward):.3f}, {frames / seconds:,.0f} steps/s", flush=True)
