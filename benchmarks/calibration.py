@@ -1,17 +1,16 @@
-"""Whether calibration finds what it should: ``python -m izoo.benchmarks.calibration --out FOLDER [--sets 20]``.
+"""Whether calibration finds what it should: ``python -m izoo.benchmarks.calibration out=FOLDER``.
 
-Per data set a population is drawn, the environment simulates its drivers at a signal, ``write_trajectories`` writes
-what it saw, and the calibration is asked for the population. ``--speed-noise`` adds what a camera would. Sets that the
-folder has with the same options are not run again, so the benchmark can be stopped and continued.
+Per data set a population is drawn, the environment simulates its drivers at a signal, and the calibration is asked for
+the population. Sets that the folder has with the same options are not run again.
 """
 
 from __future__ import annotations
 
-import argparse
+import contextlib
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +18,12 @@ import numpy as np
 import pandas as pd
 
 from izoo.cli.calibrate import check_packages
-from izoo.console import exit_code, unheard
+from izoo.cli.option_command import GOES_ON, OptionCommand
 from izoo.contexts.population import IDM_PARAMETERS, DriverPopulation
-from izoo.envs import MODEL_VERSION
-from izoo.errors import check_range
-from izoo.files import replacing, usable_paths
-from izoo.results.rows_file import Row, RowsFile
+from izoo.envs.model_version import MODEL_VERSION
+from izoo.errors import check_range, check_types
+from izoo.files import make_absolute
+from izoo.results.rows_file import Key, Row, RowsFile
 
 LIMIT_MPS = 16.0
 LANE_M, INFLOW_VPH, HORIZON_S = 1200.0, 600.0, 900.0
@@ -36,6 +35,33 @@ SETTINGS = ("set", "drivers", "speed_noise_mps", "warmup", "draws", "model_versi
 """Which data set, and how it was made and calibrated."""
 NUMBERS = ("minutes", "seconds", "processor_seconds", "worst_r_hat", "least_ess", "true", "mean", "low", "high")
 """The minutes are those that drivers were followed for; the seconds are those that the calibration took."""
+
+
+@dataclass(frozen=True)
+class CalibrationConfig:
+    """Options of the study.
+
+    Attributes:
+        out: folder of the results.
+        sets: data sets.
+        drivers: light drivers of each.
+        speed_noise_mps: white noise that is added to every speed, as a camera would.
+        warmup, draws: iterations per chain before it counts, and that count.
+    """
+
+    out: str = "calibration"
+    sets: int = 20
+    drivers: int = 50
+    speed_noise_mps: float = 0.0
+    warmup: int = 200
+    draws: int = 400
+
+    def __post_init__(self) -> None:
+        check_types("", self)
+        check_range("sets", self.sets, 1, 1000)
+        check_range("drivers", self.drivers, 5, 200)
+        check_range("speed_noise_mps", self.speed_noise_mps, 0.0, 1.0, "m/s")
+        make_absolute(self, "out")
 
 
 def true_population(number: int) -> DriverPopulation:
@@ -64,25 +90,33 @@ def truth(population: DriverPopulation) -> dict[str, float]:
     return found
 
 
-def simulate(population: DriverPopulation, number: int, path: Path, speed_noise_mps: float) -> None:
-    """Write the trajectories of human drivers of a population; to every speed, white noise is added."""
+def simulate(population: DriverPopulation, number: int, speed_noise_mps: float) -> pd.DataFrame:
+    """Return the trajectories of human drivers of a population; to every speed, white noise is added."""
+    import torch
+    from tensordict import TensorDict, TensorDictBase
+
     from izoo.contexts.procedural import procedural_context
+    from izoo.contexts.source import episode_seed
     from izoo.envs import EcoDrivingEnv, EnvConfig
-    from izoo.envs.views.trajectories import write_trajectories
+    from izoo.envs.views.trajectories import trajectory_table
+    from izoo.results.playing import run_episode
+    from izoo.results.policies import as_policy
 
     context = procedural_context(
         adoption=0.0, inflow_vph_per_lane=INFLOW_VPH, lane_length_m=LANE_M, speed_limit_mps=LIMIT_MPS
     ).replace(drivers=population)
-    env = EcoDrivingEnv(context, config=EnvConfig(emit=("vehicles",), horizon_s=HORIZON_S), seed=number)
-    try:
-        rollout = env.rollout(env.config.control_steps)
-    finally:
-        env.close()
-    table = pd.read_csv(write_trajectories(rollout, path))
-    generator = np.random.default_rng([number, 1])
-    seen = table["speed_mps"] + speed_noise_mps * generator.standard_normal(len(table))
-    table["speed_mps"] = seen.clip(lower=0.0)
-    table.to_csv(path, index=False)
+    config, seen = EnvConfig(emit=("vehicles",), horizon_s=HORIZON_S), []
+    uncommanded = as_policy("uncommanded", config).policy
+
+    def watched(state: TensorDictBase) -> TensorDictBase:
+        seen.append(state["vehicles"].clone())
+        return uncommanded(state)
+
+    with contextlib.closing(EcoDrivingEnv(config=config)) as env:
+        run_episode(env, watched, context, episode_seed(number, 0))
+    table = trajectory_table(TensorDict({"next": {"vehicles": torch.stack(seen)}}, [len(seen)]))
+    noise = np.random.default_rng([number, 1]).standard_normal(len(table))
+    return table.assign(speed_mps=(table["speed_mps"] + speed_noise_mps * noise).clip(lower=0.0))
 
 
 def recover(number: int, drivers: int, chains: Any, speed_noise_mps: float = 0.0) -> list[Row]:
@@ -95,7 +129,7 @@ def recover(number: int, drivers: int, chains: Any, speed_noise_mps: float = 0.0
     population = true_population(number)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "trajectories.csv")
-        simulate(population, number, path, speed_noise_mps)
+        simulate(population, number, speed_noise_mps).to_csv(path, index=False)
         classes, _ = read_following([path], ReadConfig(max_drivers=drivers, seed=number))
     data = classes["light"]
     began, worked = time.monotonic(), time.process_time()
@@ -139,71 +173,54 @@ def summarise(rows: pd.DataFrame) -> str:
 
 def draw(rows: pd.DataFrame, path: Path) -> None:
     """Draw what was recovered over what is true, with 90 % intervals, as PNG."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from izoo.training.plots import QUIET, Chart, Series, save
+    from izoo.training.plots import draw as draw_charts
 
-    figure = Figure(figsize=(13.0, 6.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(2, len(MEDIAN_RANGES))
-    for column, parameter in enumerate(MEDIAN_RANGES):
-        for row, kind in enumerate(KINDS[:2]):
-            chosen = rows[rows["name"] == f"{kind} {parameter}"]
-            true, mean, low, high = (chosen[key].to_numpy(float) for key in ("true", "mean", "low", "high"))
-            axis = axes[row, column]
-            axis.errorbar(true, mean, [mean - low, high - mean], fmt="o", markersize=4, color="#0072b2", linewidth=1)
-            ends = [true.min(), true.max()]
-            axis.plot(ends, ends, color="#333333", linewidth=1)
-            axis.set(title=f"{kind} of {parameter}", xlabel="true", ylabel="calibrated" if column == 0 else "")
-    with replacing(path, durable=False) as partial:
-        figure.savefig(partial, dpi=90, format="png")
+    charts = []
+    for kind in KINDS[:2]:
+        for parameter in MEDIAN_RANGES:
+            of = rows[rows["name"] == f"{kind} {parameter}"]
+            ends = [of["true"].min(), of["true"].max()]
+            found = Series(of["true"], of["mean"], kind="points", low=list(of["low"]), high=list(of["high"]))
+            marks = [Series(ends, ends, colour=QUIET), found]
+            charts.append(Chart(f"{kind}-{parameter}", f"{kind} of {parameter}", marks, "true", "calibrated"))
+    save(draw_charts(charts), path)
 
 
-@usable_paths()
-@unheard()
-def run(options: argparse.Namespace) -> int:
-    """Run the sets that the folder lacks, and summarise all of it."""
-    print("izoo benchmarks.calibration", flush=True)
-    check_range("--sets", options.sets, 1, 1000)
-    check_range("--drivers", options.drivers, 5, 200)
-    check_range("--speed-noise", options.speed_noise, 0.0, 1.0, "m/s")
+def run(config: CalibrationConfig) -> pd.DataFrame:
+    """Run the sets that the folder lacks, sum all of them up, and return their rows."""
     check_packages()
     from izoo.drivers.mcmc import SamplerConfig
 
-    chains = SamplerConfig(options.warmup, options.draws)
-    options.out.mkdir(parents=True, exist_ok=True)
+    chains, out = SamplerConfig(config.warmup, config.draws), Path(config.out)
+    out.mkdir(parents=True, exist_ok=True)
     columns = (*SETTINGS, "name", "converged", *NUMBERS)
-    kept = RowsFile(options.out / SETS_FILE, columns, ("name",), ("set", "drivers", "warmup", "draws")).read()
-    wanted = []
-    for number in range(options.sets):
-        key = (number, options.drivers, options.speed_noise, options.warmup, options.draws, MODEL_VERSION)
-        own = [row for row in kept.rows if tuple(row[name] for name in SETTINGS) == key]
-        if not own:
-            found = recover(number, options.drivers, chains, options.speed_noise)
-            own = [{**dict(zip(SETTINGS, key, strict=True)), **row} for row in found]
-            kept.add(own)
-        wanted += own
-        last, r_hat, ess = own[0], own[0]["worst_r_hat"], own[0]["least_ess"]
-        said = "chains that do not move" if None in (r_hat, ess) else f"worst R-hat {r_hat:.3f}, least ESS {ess:.0f}"
-        print(
-            f"set {number}: {last['seconds']:.0f} s, {said}{'' if last['converged'] else ', not converged'}", flush=True
-        )
-    rows = pd.DataFrame(wanted)
+    kept = RowsFile(out / SETS_FILE, columns, ("name",), ("set", "drivers", "warmup", "draws")).read()
+    settings = config.drivers, config.speed_noise_mps, config.warmup, config.draws, MODEL_VERSION
+
+    def make(_: Key, number: int) -> list[Row]:
+        return recover(number, config.drivers, chains, config.speed_noise_mps)
+
+    rows = pd.DataFrame(kept.fill(SETTINGS, {(number, *settings): number for number in range(config.sets)}, make))
+    for last in rows.drop_duplicates("set").to_dict("records"):
+        said = "chains that do not move"
+        if pd.notna(last["worst_r_hat"]) and pd.notna(last["least_ess"]):
+            said = f"worst R-hat {last['worst_r_hat']:.3f}, least ESS {last['least_ess']:.0f}"
+        print(f"set {last['set']}: {last['seconds']:.0f} s, {said}{'' if last['converged'] else ', not converged'}")
     print(summarise(rows))
-    draw(rows, options.out / "recovery.png")
-    return 0
+    draw(rows, out / "recovery.png")
+    return rows
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the benchmark; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m izoo.benchmarks.calibration", description=__doc__)
-    parser.add_argument("--out", type=Path, required=True, help="folder of the results; existing ones are kept")
-    parser.add_argument("--sets", type=int, default=20, help="data sets; default: 20")
-    parser.add_argument("--drivers", type=int, default=50, help="light drivers of each; default: 50")
-    parser.add_argument("--speed-noise", type=float, default=0.0, help="m/s, added to every speed; default: 0")
-    parser.add_argument("--warmup", type=int, default=200, help="iterations per chain before it counts; default: 200")
-    parser.add_argument("--draws", type=int, default=400, help="iterations per chain that count; default: 400")
-    return exit_code("benchmarks.calibration", lambda: run(parser.parse_args(argv)))
-
+COMMAND = OptionCommand(
+    name="benchmarks.calibration",
+    summary="Simulate drivers that are known, calibrate on them, and say how often the truth is found.",
+    examples=("izoo.benchmarks.calibration out=FOLDER", "izoo.benchmarks.calibration out=FOLDER sets=5 drivers=30"),
+    config="izoo.benchmarks.calibration:CalibrationConfig",
+    work="izoo.benchmarks.calibration:run",
+    stopped=GOES_ON,
+)
+main = COMMAND.main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,14 +20,13 @@ from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
 from izoo.envs.config import ACTION_LOW_MPS2, EnvConfig
 from izoo.errors import IzooError, check_range
-from izoo.files import expanded
+from izoo.files import make_absolute
 
 if TYPE_CHECKING:
     import pandas as pd
     from tensordict import TensorDictBase
 
     from izoo.envs import TwinEnv
-    from izoo.metrics.summary import Summary
 
 PLANNER, BESIDE = "planner", ("human", "uncommanded", "cap_0.6", "glide")
 AT_ONCE = 16
@@ -92,8 +91,7 @@ class PlannerConfig:
             raise IzooError(f"every_s is {self.every_s:g}; give a whole multiple of env.step_s={self.env.step_s:g}.")
         check_range("look_ahead_s", self.look_ahead_s, self.every_s, 3600.0, "s")
         check_range("brake_mps2", self.brake_mps2, 0.1, -ACTION_LOW_MPS2, "m/s^2")
-        if self.out is not None:
-            object.__setattr__(self, "out", str(expanded(self.out).absolute()))
+        make_absolute(self, "out")
 
     @property
     def source(self) -> str:
@@ -102,7 +100,7 @@ class PlannerConfig:
         return f"planner {own}"
 
 
-def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFrame:
+def run(config: PlannerConfig) -> pd.DataFrame:
     """Play what the folder ``out`` does not hold yet, print what was found, and return all rows.
 
     Raises:
@@ -111,8 +109,9 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFr
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
     from izoo.cores import usable_cores
     from izoo.files import write_json
+    from izoo.metrics.pairing import UNCOMMANDED
     from izoo.metrics.summary import summarise
-    from izoo.report.tables import headline
+    from izoo.report.tables import SAVED, details, figure_cell, headline
     from izoo.results.rollout import play_policy
     from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts
     from izoo.results.store import Store
@@ -136,9 +135,12 @@ def run(config: PlannerConfig, given: frozenset[str] = frozenset()) -> pd.DataFr
     found = {task: summarise(table[table["task"] == task]) for task in tasks.values()}
     if folder is not None:
         write_json(folder / "summary.json", list(found.values()))
-    for summary in found.values() if config.verbose else ():
-        headline(summary).show()
-    print_gains(table, found)
+    for summary in found.values():
+        for shown in [headline(summary), *(details(summary) if config.verbose else ())]:
+            shown.show()
+    gains = {task: figure_cell(of["entries"][PLANNER], SAVED, UNCOMMANDED, of["block"]) for task, of in found.items()}
+    said = ", ".join(f"{gain} with {task}" for task, gain in gains.items())
+    print(f"The planner saves {said}; it tries one CV at a time, so more may be there to gain.")
     return table
 
 
@@ -239,30 +241,6 @@ class Planner:
         accel, defer = self.cap.command(seen, advice)
         state.set(("agents", "action"), accel.unsqueeze(-1))
         return state.set(("agents", "defer"), defer)
-
-
-def print_gains(table: pd.DataFrame, found: Mapping[str, Summary]) -> None:
-    """Print what glide and the planner save over uncommanded CVs, by share of CVs and lanes, and say it in words."""
-    from izoo.metrics.pairing import UNCOMMANDED
-    from izoo.metrics.summary import summarise
-    from izoo.report.tables import Cell, Table, figure_cell
-
-    def gained(summary: Summary, name: str, key: str = "co2_saved") -> Cell:
-        return figure_cell(summary["entries"][name], key, UNCOMMANDED, summary["block"])
-
-    figures = [(name, key) for name in ("glide", PLANNER) for key in ("co2_saved", "delay_change_s")]
-    rows, said = [], []
-    for task, whole in found.items():
-        part = table[table["task"] == task]
-        said.append(f"{gained(whole, PLANNER)} with {task}")
-        for kind, lanes in (("one lane", part["lane_count"] <= 1), ("several lanes", part["lane_count"] > 1)):
-            if lanes.any():
-                summary = summarise(part[lanes])
-                cells = (gained(summary, name, key) for name, key in figures)
-                rows.append((f"{task}, {kind}", summary["n"]["contexts"], *cells))
-    columns = ("share of CVs", "contexts", "glide saves", "delay", "planner saves", "delay")
-    Table.of("What there is to gain: CO2 saved and delay added, over uncommanded CVs", columns, rows).show()
-    print(f"The planner saves {', '.join(said)}; it tries one CV at a time, so more may be there to gain.")
 
 
 COMMAND = OptionCommand(

@@ -2,7 +2,7 @@
 
 Rows of the twin are measured beside bare libsumo, on the same nets and demand, in one run: stepping, stepping with a
 policy, training, the start, and CO2 alone. Each is timed for the same few seconds. Where SUMO is not installed, its
-rows are left out, and nets come from the cache.
+rows and the start are left out, and nets come from the cache.
 
 ``serial`` is the processor time of the main thread in a step of all environments that no number of threads shrinks: all
 that it does beyond its own share of what threads do side by side. ``most`` is the speed-up over one core that this
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import functools
 import importlib.util
+import platform
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -25,11 +26,9 @@ from izoo.errors import check_range, check_types
 
 if TYPE_CHECKING:
     from izoo.benchmarks.timing.rows import Row
-    from izoo.contexts.context import Context
 
 RowName = Literal["sumo", "twin", "policy", "training", "start", "emissions"]
 Scenario = Literal["two_lanes", "light", "medium", "heavy"]
-GROUPS = ("vehicles", "signal", "context", "metrics")
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class SpeedConfig:
         device: of the learner.
         seconds: how long each row is timed.
         machine: measure what describes a machine, in some ten minutes: more environments and threads, and a start of
-            2,048; also written ``--machine``.
+            2,048; also written ``--machine``. Its table is Markdown.
     """
 
     rows: tuple[RowName, ...] = ("sumo", "twin", "policy", "training", "start", "emissions")
@@ -86,7 +85,11 @@ def plan(config: SpeedConfig) -> Iterator[tuple[str, Callable[[], list[Row]]]]:
     context, seconds, surrogate = rows.scenarios()[config.scenario], config.seconds, config.surrogate
     threads = config.threads or tuple(dict.fromkeys((1, usable_cores())))
     most, last = max(threads), config.envs[-1]
-    if "sumo" in config.rows and importlib.util.find_spec("libsumo"):
+    has_sumo = importlib.util.find_spec("libsumo") is not None
+    if "start" in config.rows and has_sumo:
+        # First, as memory that others have held would count as free.
+        yield "start", lambda: [rows.start(config.starting, min(most, config.starting), surrogate)]
+    if "sumo" in config.rows and has_sumo:
         yield "bare libsumo", lambda: [rows.bare_sumo(context, seconds)]
         yield "one environment on SUMO", lambda: [rows.one_on_sumo(context, seconds)]
         for name in ("parallel", "multisync"):
@@ -95,7 +98,10 @@ def plan(config: SpeedConfig) -> Iterator[tuple[str, Callable[[], list[Row]]]]:
     if "twin" in config.rows:
         for envs in config.envs:
             for count in (count for count in threads if count <= envs):
-                yield f"twin, {envs} x {count}", functools.partial(_on_twin, context, seconds, envs, count, surrogate)
+                yield (
+                    f"twin {envs} x {count}",
+                    functools.partial(rows.on_twin, context, seconds, envs, count, surrogate),
+                )
     if "policy" in config.rows:
         yield "policy", lambda: [rows.with_policy(context, seconds, last, min(most, last), surrogate)]
     if "training" in config.rows:
@@ -103,57 +109,69 @@ def plan(config: SpeedConfig) -> Iterator[tuple[str, Callable[[], list[Row]]]]:
             "training",
             lambda: [rows.training(context, 2.0 * seconds, last, min(most, last), surrogate, config.device)],
         )
-    if "start" in config.rows and importlib.util.find_spec("sumo"):
-        yield "start", lambda: [rows.start(config.starting, min(most, config.starting), surrogate)]
     if "emissions" in config.rows:
         yield "CO2", lambda: rows.emissions(seconds)
 
 
-def _on_twin(context: Context, seconds: float, envs: int, threads: int, surrogate: str) -> list[Row]:
-    """Measure the twin alone, stepped without groups, and with all of them."""
-    from izoo.benchmarks.timing import rows
-
-    alone = rows.backend_alone(context, seconds, envs, threads, surrogate)
-    return [alone, *(rows.stepping(context, seconds, envs, threads, emit, surrogate) for emit in ((), GROUPS))]
-
-
-def print_table(rows: Sequence[Row]) -> None:
-    """Print the rows."""
+def print_table(rows: Sequence[Row], markdown: bool = False) -> None:
+    """Print the rows; ``markdown``: to be pasted."""
     from izoo.report.tables import Table
 
     bare = next((row.env_steps_per_s for row in rows if row.name == "bare libsumo"), None)
     lines = []
-    for row in rows:
+    for row in (row for row in rows if row.timed or row.agent_steps_per_s):
         found = row.timed
+        shared = found is not None and found.shared_s > 0.0
         lines.append(
             (
                 row.name,
-                f"{row.env_steps_per_s:,.0f}" if row.env_steps_per_s else "",
+                f"{row.env_steps_per_s:,.0f}",
                 f"{row.env_steps_per_s / bare:.2f}" if bare and found else "",
                 "" if row.agent_steps_per_s is None else f"{row.agent_steps_per_s:,.0f}",
                 "" if row.vehicles is None else f"{row.vehicles:.0f}",
-                f"{1e6 * found.serial_s:,.0f}" if found and found.shared_s else "",
-                f"{100.0 * found.serial_share:.1f}" if found and found.shared_s else "",
-                f"{found.most:.1f}" if found and found.shared_s else "",
-                row.note,
+                f"{1e6 * found.serial_s:,.0f}" if found and shared else "",
+                f"{100.0 * found.serial_share:.1f}" if found and shared else "",
+                f"{found.most:.1f}" if found and shared else "",
             )
         )
-    columns = "row", "env\nsteps/s", "to\nbare", "CV\nsteps/s", "vehi-\ncles", "serial\nus", "serial\n%", "most", "note"
-    Table.of("speed", columns, lines).show()
+    columns = ["row", "env\nsteps/s", "to\nbare", "CV\nsteps/s", "veh.", "serial\nus", "serial\n%", "most"]
+    if markdown:
+        print(Table.of("", [column.replace("\n", " ") for column in columns], lines).markdown() + "\n")
+    else:
+        Table.of("speed (twin E x T: E environments, T threads)", columns, lines).show()
+    for row in (row for row in rows if row.note):
+        print(f"{'- ' if markdown else ''}{row.name}: {row.note}")
 
 
-def run(config: SpeedConfig, given: frozenset[str] = frozenset()) -> list[Row]:
+def this_machine() -> str:
+    """Return what a table must say of the machine that it was measured on."""
+    import torch
+
+    from izoo import __version__
+
+    gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else "no GPU"
+    return (
+        f"{platform.processor() or platform.machine()}, {usable_cores()} cores, {gpu}; izoo {__version__}, "
+        f"torch {torch.__version__}, Python {platform.python_version()}"
+    )
+
+
+def run(config: SpeedConfig) -> list[Row]:
     """Measure, with a bar on the error stream meanwhile, and print the table."""
     print("Loading torch and the simulators.", flush=True)
     config = whole_machine(config) if config.machine else config
     todo = list(plan(config))
+    if {"sumo", "start"} & set(config.rows) and not importlib.util.find_spec("libsumo"):
+        print("SUMO is not installed: its rows and the start are left out.", flush=True)
     found: list[Row] = []
     with Progress(len(todo), unit="rows", file=sys.stderr) as bar:
         for number, (name, measure) in enumerate(todo):
             bar.update(number, name)
             found += measure()
         bar.update(len(todo), "done")
-    print_table(found)
+    if config.machine:
+        print(this_machine() + "\n")
+    print_table(found, config.machine)
     return found
 
 

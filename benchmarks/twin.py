@@ -1,13 +1,12 @@
 """How far the twin is from SUMO, on any contexts.
 
 ``python -m izoo.benchmarks.twin contexts=dataset contexts.path=NETS`` plays the same episodes on both: one and two
-vehicles alone, to 1e-6; for some policies every vehicle in every step, up to where the two part, and what drivers did
-(changes of lane, vehicles that passed on each signal, how queues left); for all policies CO2, delay and vehicles that
-crossed per approach; and what each policy saves over human driving. SUMO plays everything once more with one vehicle
-of every approach a step late (``late=1``): how far it is from itself then stands beside how far the twin is. The folder
-``out`` is a results folder (:mod:`izoo.results.store`) with rows of both simulators, and gets ``fidelity.json``,
-``approaches.csv``, ``fidelity.png``, ``few.csv`` and ``steps.csv``; rows with late vehicles are in ``late-1`` and so
-on. The same command goes on where it was stopped.
+vehicles alone, to 1e-6; for some policies every vehicle in every step, up to where the two part; for all policies CO2,
+delay and vehicles that crossed per approach; and what each policy saves over human driving. SUMO plays everything once
+more with one vehicle of every approach a step late (``late=1``): how far it is from itself then stands beside how far
+the twin is. The folder ``out`` is a results folder (:mod:`izoo.results.store`) with rows of both simulators, and gets
+``fidelity.json``, ``approaches.csv``, ``fidelity.png``, ``few.csv`` and ``steps.csv``; rows with late vehicles are in
+``late-1`` and so on. The same command goes on where it was stopped.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.evaluate_options import check_episodes, check_policy
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, check_choice, check_range, check_types
-from izoo.files import expanded
+from izoo.files import make_absolute
 from izoo.metrics.pairing import HUMAN
 from izoo.zoo import catalog
 
@@ -95,13 +94,10 @@ class FidelityConfig:
             object.__setattr__(self, name, tuple(map(catalog.absolute, getattr(self, name))))
         if not (self.adoptions and self.demand and self.policies):
             raise IzooError("adoptions, demand and policies each need one entry or more.")
-        for name in ("out", "cache"):
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, str(expanded(value).absolute()))
+        make_absolute(self, "out", "cache")
 
 
-def run(config: FidelityConfig, given: frozenset[str] = frozenset()) -> Path:
+def run(config: FidelityConfig) -> Path:
     """Compare, or go on comparing; print the tables, and return the folder of the results."""
     import pandas as pd
 
@@ -115,7 +111,7 @@ def run(config: FidelityConfig, given: frozenset[str] = frozenset()) -> Path:
     from izoo.results.rows_file import RowsFile
     from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
 
-    config = dataclasses.replace(config, env=evaluated(env_of(config, given)))
+    config = dataclasses.replace(config, env=evaluated(config.env))
     check_settings(config.env)
     out = Path(config.out)
     base = choose_contexts(config.contexts.build(), config.num_contexts, config.seed)
@@ -141,7 +137,6 @@ def run(config: FidelityConfig, given: frozenset[str] = frozenset()) -> Path:
     found = {
         "few": twin_fidelity.few(few),
         "exact": twin_fidelity.exactness(exact),
-        "driving": twin_fidelity.driving(exact),
         "groups": twin_fidelity.by_group(compared),
         "own": own if own.empty else twin_fidelity.by_group(own),
         "gains": gained,
@@ -191,20 +186,6 @@ def play_all(
     return table[pd.MultiIndex.from_frame(table[list(EPISODE)]).isin(wanted)]
 
 
-def env_of(config: FidelityConfig, given: frozenset[str]) -> EnvConfig:
-    """Return the environment that all policies are played in.
-
-    It is that of a policy that ships with izoo, if there is one among them, but for what ``given`` names.
-    """
-    from izoo import zoo
-    from izoo.conf.mapping import with_given
-
-    env = config.env
-    for name in filter(None, map(zoo.named, config.policies)):
-        env = with_given(zoo.load(name).env, config.env, given, "env")
-    return env
-
-
 def variants(base: Sequence[Context], config: FidelityConfig) -> list[Context]:
     """Return the contexts with every demand and at every adoption that is asked for, without repetition."""
     found = [
@@ -226,6 +207,7 @@ COMMAND = OptionCommand(
     ),
     config="izoo.benchmarks.twin:FidelityConfig",
     work="izoo.benchmarks.twin:run",
+    defaults="izoo.cli.defaults:of_policies",
     stopped=GOES_ON,
 )
 main = COMMAND.main

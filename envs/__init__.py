@@ -24,6 +24,7 @@ from gymnasium.envs.registration import register
 from izoo.envs.model_version import MODEL_VERSION
 from izoo.errors import check_choice
 from izoo.imports import imported
+from izoo.metrics import REFERENCE
 
 if TYPE_CHECKING:
     from izoo.envs.config import EnvConfig, RewardConfig
@@ -38,6 +39,7 @@ _HOME = {
     "TwinEnv": "twin_env",
 }
 __all__ = [
+    "COMPILED",
     "MODEL_VERSION",
     "REFERENCE",
     "SIMULATORS",
@@ -93,8 +95,8 @@ SIMULATORS = {
     ),
 }
 """Every simulator by its name; a further one is a line here, and a folder beside ``envs/sumo``."""
-REFERENCE = "sumo"
-"""The one whose results count."""
+COMPILED = "twin"
+"""The reference's compiled copy, on which presets and tasks train."""
 
 
 def simulator_of(name: str, option: str = "simulator") -> Simulator:

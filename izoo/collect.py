@@ -24,47 +24,62 @@ COMMAND = OptionCommand(
     ),
     config="izoo.conf.train_options:CollectConfig",
     work="izoo.training.offline:collect",
+    defaults="izoo.cli.defaults:of_policies",
 )
 main = COMMAND.main
 
 
 def load(folder: Path | str) -> TensorDictBase:
-    """Open a collected data set without reading it into memory.
+    """Open a collected data set.
 
     Args:
         folder: what ``out=`` named.
 
     Returns:
-        steps ``[frames]``, memory-mapped; see :func:`izoo.training.dataset.load`.
-    """
-    from izoo.training.dataset import load as load_dataset
+        Steps ``[frames]``, in the order of collection: environment after environment within a time step. One shard
+        stays memory-mapped, nothing is read; several are put together in memory, which :func:`replay_buffer`, where
+        steps that follow each other stand beside each other, does not do.
 
-    return load_dataset(folder)
+    Raises:
+        IzooError: the folder is not a finished data set of izoo, or a shard is missing.
+    """
+    import torch
+
+    from izoo.training.dataset import load_shards
+
+    shards = load_shards(folder)
+    return shards[0] if len(shards) == 1 else torch.cat(shards)
 
 
 def replay_buffer(folder: Path | str, **options: Any) -> TensorDictReplayBuffer:
-    """Open a collected data set as one read-only replay buffer, however many shards it has, without copying.
+    """Open a data set of any number of shards as a read-only replay buffer, memory-mapped, without copying.
+
+    It holds the steps of one environment after those of another, each in the order of time, so that TorchRL's
+    ``SliceSampler`` draws slices of episodes, once it is told which step is of which (:func:`trajectories`).
 
     Args:
         folder: what ``out=`` named.
-        options: of :class:`torchrl.data.TensorDictReplayBuffer`: ``replay_buffer(folder, batch_size=256)``.
-
-    Returns:
-        A buffer of ``frames`` steps; what it samples is read from the memory-mapped shards.
+        options: of :class:`torchrl.data.TensorDictReplayBuffer`, such as ``batch_size``, ``sampler`` or ``transform``.
     """
-    from izoo.training.dataset import replay_buffer as open_buffer
+    from torchrl.data import ImmutableDatasetWriter, TensorDictReplayBuffer
 
-    return open_buffer(folder, **options)
+    from izoo.training.dataset import storage
+    from izoo.training.shards import as_they_are
+
+    return TensorDictReplayBuffer(
+        storage=storage(folder), writer=ImmutableDatasetWriter(), collate_fn=as_they_are, **options
+    )
 
 
 def trajectories(folder: Path | str) -> Tensor:
     """Return numbers of the episodes that the steps of :func:`replay_buffer` are of, ``[frames]``.
 
-    ``SliceSampler(slice_len=20, trajectories=trajectories(folder), cache_values=True)`` draws slices of episodes.
+    For ``SliceSampler(slice_len=20, trajectories=trajectories(folder), cache_values=True)``: with the name of a key
+    instead, it reads the whole data set for every batch.
     """
-    from izoo.training.dataset import trajectories as read_trajectories
+    from izoo.training.dataset import storage
 
-    return read_trajectories(folder)
+    return storage(folder).leaf(("collector", "traj_ids"))
 
 
 if __name__ == "__main__":

@@ -32,6 +32,9 @@ LINE_EVERY_S = 10.0
 """How often a line reports progress where there is no terminal for a bar."""
 SPEED_OVER = 20
 """Updates that the time left is estimated from."""
+ESTIMATE_FROM = 0.05
+"""Share of the work that must be done before the time left is estimated: the first pieces wait for compilers and
+simulators."""
 
 
 class OutputLost(Exception):
@@ -239,6 +242,7 @@ class Progress:
     ) -> None:
         self.total, self.unit, self.shown = total, unit, shown and total > 0
         self._file = sys.stdout if file is None else file
+        self._first = done
         self._seen = deque([(time.monotonic(), done)], maxlen=SPEED_OVER)
         self._last_line = time.monotonic()
         self._bar: RichProgress | None = None
@@ -264,13 +268,16 @@ class Progress:
     def update(self, done: int, text: str = "") -> None:
         """Show that ``done`` pieces are done, followed by ``text``."""
         self._seen.append((time.monotonic(), done))
-        text = f"{time_left(self._seen, self.total)}  {text}".rstrip()
+        early = done < self.total and done - self._first < ESTIMATE_FROM * (self.total - self._first)
+        text = ("" if early else f"{time_left(self._seen, self.total)}  ") + text
         unit = f" {self.unit}" if self.unit else ""
         if self._bar is not None:
-            self._bar.update(self._task, completed=done, description=f"{done:,} / {self.total:,}{unit}  {text}")
+            self._bar.update(
+                self._task, completed=done, description=f"{done:,} / {self.total:,}{unit}  {text}".rstrip()
+            )
         elif self.shown and (time.monotonic() - self._last_line >= LINE_EVERY_S or done >= self.total):
             self._last_line = time.monotonic()
-            print(f"{done:>10,} / {self.total:,}{unit}  {text}", file=self._file, flush=True)
+            print(f"{done:>10,} / {self.total:,}{unit}  {text}".rstrip(), file=self._file, flush=True)
 
 
 def time_left(seen: Sequence[tuple[float, int]], total: int) -> str:

@@ -16,7 +16,7 @@ COMMAND = OptionCommand(
     ),
     config="izoo.conf.evaluate_options:EvaluateConfig",
     work="izoo.cli.evaluate:evaluate",
-    defaults="izoo.cli.policy_defaults:defaults",
+    defaults="izoo.cli.defaults:of_evaluation",
     stopped=GOES_ON,
 )
 main = COMMAND.main

@@ -44,6 +44,14 @@ def expanded(path: str | Path) -> Path:
     return Path(os.path.expanduser(path))  # noqa: PTH111 (Path's own raises without such a user)
 
 
+def make_absolute(config: object, *names: str) -> None:
+    """Resolve paths in fields of a frozen dataclass, so that they mean the same in another folder; null stays null."""
+    for name in names:
+        value = getattr(config, name)
+        if value is not None:
+            object.__setattr__(config, name, str(expanded(value).absolute()))
+
+
 @contextlib.contextmanager
 def usable_paths() -> Iterator[None]:
     """Turn what the system says about a path, such as that it may not be read, into an :class:`IzooError`.

@@ -17,6 +17,7 @@ COMMAND = OptionCommand(
     ),
     config="izoo.conf.train_options:TrainConfig",
     work="izoo.cli.train:train",
+    defaults="izoo.cli.defaults:of_run",
 )
 main = COMMAND.main
 

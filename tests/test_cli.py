@@ -17,21 +17,18 @@ import yaml
 from izoo import __main__ as izoo
 from izoo import collect, console, evaluate, train
 from izoo.algos.learners.ddpg import DDPGConfig
+from izoo.benchmarks.planner import PlannerConfig
+from izoo.benchmarks.twin import FidelityConfig
 from izoo.cli.compose import compose_config
-from izoo.cli.option_command import OptionCommand
 from izoo.conf.choices import groups
 from izoo.conf.context_choices import DatasetContexts, PcgContexts
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import CollectConfig, TrainConfig
-from izoo.contexts.distributions import Uniform
-from izoo.contexts.procedural import SYSTEMATICITY_TRAIN
 from izoo.envs import RewardConfig
-from izoo.errors import IzooError
-from izoo.files import claimed
 from izoo.results.store import read_manifest
 
 
-@pytest.mark.parametrize("cls", [TrainConfig, CollectConfig])
+@pytest.mark.parametrize("cls", [TrainConfig, CollectConfig, PlannerConfig, FidelityConfig])
 def test_without_words_options_have_their_defaults(cls: type) -> None:
     assert compose_config(cls, []) == cls()
 
@@ -52,15 +49,6 @@ def test_options_reach_the_dataclass_with_their_types(tmp_path: Path) -> None:
     assert config.total_frames == 1_000_000 and isinstance(config.total_frames, int)
     assert config.env.reward.eta == 0.0 and config.run_dir == str(odd)
     assert from_mapping(TrainConfig, to_mapping(dataclasses.replace(config, contexts=DatasetContexts(path="data"))))
-
-
-def test_procedural_settings() -> None:
-    contexts = PcgContexts(lane_count=2.0, green_s="20..32", phase_count=[1, 2], adoption=0.5)
-    features = contexts.build().product.features  # type: ignore[attr-defined]
-    assert features["lane_count"].value == 2
-    assert features["green_s"] == Uniform(20.0, 32.0)
-    assert features["phase_count"].values == (1, 2)
-    assert features["speed_limit_mps"] == SYSTEMATICITY_TRAIN.product.features["speed_limit_mps"]
 
 
 def test_a_reward_is_chosen_by_name_and_changed_by_weight() -> None:
@@ -115,13 +103,13 @@ BAD = {
     "num_workers=0": "num_workers is 0",
     "seed=2147483648": "must lie in [0, 2147483647]",
     "resume=nowhere": "does not exist",
-    "contexts=dataset": "contexts.path=DIR",
     "contexts=dataset contexts.path=nowhere": "nowhere does not exist",
     "contexts=osm contexts.path=.": "holds no intersections built from OpenStreetMap",
-    "contexts=pcg contexts.green_s=20..x": "low..high",
-    "contexts=pcg contexts.lane_count=9": "lane_count",
     "-m seed=0,1 algo.gamma=0.9,1.9": "algo.gamma is 1.9",
     "-m seed=0,1 run_dir=here": "make run_dir differ",
+    "-m seed=range(0,0)": "the sweep has no values; give at least one.",
+    "-v": "unknown flag '-v'",
+    "run_dir=": "run_dir is empty; give a folder, such as run_dir=results.",
 }
 
 
@@ -228,7 +216,7 @@ def test_cfg_prints_the_options_of_every_run_and_runs_none(
 def test_every_run_of_a_sweep_has_a_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     folders: list[str] = []
 
-    def work(config: TrainConfig, given: frozenset[str]) -> None:
+    def work(config: TrainConfig) -> None:
         folders.append(str(config.run_dir))
 
     monkeypatch.setattr("izoo.cli.train.train", work)
@@ -240,35 +228,11 @@ def test_every_run_of_a_sweep_has_a_folder(monkeypatch: pytest.MonkeyPatch) -> N
     assert [Path(folder).name for folder in folders[4:]] == ["ppo-0", "ppo-1"]
 
 
-def test_an_empty_sweep_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    assert train.main(["-m", "seed=range(0,0)"]) == 2
-    said = capsys.readouterr().err
-    assert "the sweep has no values; give at least one." in said and said.count("\n") == 1
-
-
 def test_a_sweep_over_evaluations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     words = ["policy=uncommanded", "contexts=pcg_easy", "env.horizon_s=60", "num_workers=0", "seeds=1,2"]
     assert evaluate.main(["-m", *words, f"out={tmp_path}/${{seeds}}", f"cache={tmp_path / 'cache'}"]) == 0
     assert all(read_manifest(tmp_path / name).complete for name in "12")
-
-
-@pytest.mark.parametrize("reader", ["head -n 1", "true"])
-def test_output_that_nobody_reads_ends_a_command_quietly(reader: str) -> None:
-    command = f"{sys.executable} -m izoo.evaluate --help | {reader}; exit ${{PIPESTATUS[0]}}"
-    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("errors", "collector"), [("", "single"), ("2>&1", "parallel")])
-def test_work_goes_on_where_nobody_reads_its_output(tmp_path: Path, errors: str, collector: str) -> None:
-    words = f"contexts=pcg_easy total_frames=400 num_workers=1 evaluation.contexts=0 run_dir={tmp_path / 'run'}"
-    words += f" env.horizon_s=60 algo.frames_per_batch=200 algo.hidden=[16] collector={collector}"
-    command = f"{sys.executable} -m izoo.train {words} {errors} | head -n 1; exit ${{PIPESTATUS[0]}}"
-    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=250)
-    assert done.returncode == 0 and ("the work goes on" in done.stderr) == (errors == "")
-    assert max(int(line.split(",")[0]) for line in (tmp_path / "run/metrics.csv").read_text().splitlines()[1:]) >= 400
 
 
 @pytest.mark.parametrize("stream", [sys.__stdout__, io.StringIO(), None], ids=["open", "no file", "none"])
@@ -282,34 +246,9 @@ def test_a_broken_pipe_elsewhere_is_not_hidden(stream: object, monkeypatch: pyte
         console.exit_code("train", broken)
 
 
-FILLING = {
-    "collect": "policy=random frames=50 out={}",
-    "evaluate": "policy=glide contexts=pcg_easy num_contexts=1 seeds=1 num_workers=0 out={}",
-    "benchmarks.planner": "contexts=pcg_easy num_contexts=1 out={}",
-}
-"""Commands that fill a folder, and the least that they need."""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", FILLING)
-def test_no_command_fills_a_folder_that_another_process_fills(name: str, tmp_path: Path) -> None:
-    words = FILLING[name].format(tmp_path / "out").split(" ")
-    command = [sys.executable, "-m", f"izoo.{name}", *words]
-    with claimed(tmp_path / "out"):
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=200)
-        assert done.returncode == 2 and "another process works in" in done.stderr, done.stderr
-        assert list((tmp_path / "out").iterdir()) == []
-
-
 def test_a_current_folder_that_was_removed_is_one_sentence(tmp_path: Path) -> None:
     program = "import os, sys; os.rmdir(os.getcwd()); from izoo.train import main; sys.exit(main([]))"
     (tmp_path / "here").mkdir()
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path / "here", capture_output=True, text=True)
     assert done.returncode == 2
     assert done.stderr == "izoo train: the current folder has been removed; change to one that exists.\n"
-
-
-def test_a_refused_choice_names_the_option() -> None:
-    with pytest.raises(IzooError, match=r"contexts\.sources\[0\]\.lanes"):
-        compose_config(TrainConfig, ["contexts=mixed", "contexts.sources=[{name:pcg,lanes:2}]"])
-    assert isinstance(train.COMMAND, OptionCommand)

@@ -8,10 +8,6 @@ import os
 import pickle
 import re
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,14 +15,13 @@ from typing import Any
 import pytest
 import torch
 from tensordict import MemoryMappedTensor, NonTensorData, TensorDict
-from torchrl.data import TensorDictReplayBuffer, TensorStorage
 from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement, SliceSampler
 
 from izoo import collect
 from izoo.conf.train_options import CollectConfig
 from izoo.errors import IzooError
 from izoo.training import dataset
-from izoo.training.shard_writer import MANIFEST, ShardWriter, reserve
+from izoo.training.shard_writer import MANIFEST, ShardWriter
 from izoo.training.shards import ShardStorage
 
 TOY = ["contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "env.emit=[context]"]
@@ -55,35 +50,10 @@ def test_the_data_load_back_memory_mapped(data: Path) -> None:
     assert sorted(path.name for path in data.iterdir()) == [MANIFEST, "shard-00000"]
 
 
-def test_a_replay_buffer_takes_the_data_as_they_are(data: Path) -> None:
-    buffer = TensorDictReplayBuffer(storage=TensorStorage(collect.load(data)), batch_size=16)
-    assert buffer.sample().shape == (16,)
-
-
 def test_an_occupied_folder_is_refused(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert collect.main([*TOY, "frames=10", f"out={data}"]) == 2
     assert "not empty" in capsys.readouterr().err
     assert collect.load(data).shape == (300,)
-
-
-@pytest.mark.slow
-def test_a_folder_is_filled_by_one_process_at_a_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The second is refused, and the first goes on; also where nothing was there when both began."""
-    out = tmp_path / "out"
-    words = [*TOY, "policy=random", "shard_frames=500", f"out={out}"]
-    command = [sys.executable, "-m", "izoo.collect", *words, "seed=1", "frames=1000000"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE) as first:
-        while not (out / MANIFEST).exists():
-            assert first.poll() is None
-            time.sleep(0.05)
-        assert collect.main([*words, "seed=2", "frames=500"]) == 2
-        assert "another process works in" in capsys.readouterr().err
-        first.send_signal(signal.SIGINT)
-    assert first.returncode == 130
-    alone = tmp_path / "alone"
-    assert collect.main([*words, "seed=1", "frames=500", f"out={alone}"]) == 0
-    for key in (("agents", "observation"), ("context", "seed")):
-        assert torch.equal(dataset.load_shards(out)[0][key], collect.load(alone)[key])
 
 
 def test_shards_hold_the_same_steps_as_one_file(data: Path, tmp_path: Path) -> None:
@@ -96,7 +66,7 @@ def test_shards_hold_the_same_steps_as_one_file(data: Path, tmp_path: Path) -> N
 
 
 def test_shards_are_one_storage_that_reads_what_is_drawn(data: Path, tmp_path: Path) -> None:
-    writer = ShardWriter(CollectConfig(frames=300, shard_frames=128), tmp_path, 2)
+    writer = ShardWriter(CollectConfig(frames=300, shard_frames=128), tmp_path)
     writer.write(collect.load(data))
     buffer = collect.replay_buffer(tmp_path, batch_size=64)
     whole, storage = torch.cat([collect.load(data)[worker::2] for worker in range(2)]), buffer.storage
@@ -154,8 +124,6 @@ def test_slices_are_of_one_episode_of_one_environment(tmp_path: Path, monkeypatc
     whole = collect.load(tmp_path / "d")
     order = torch.cat([torch.arange(environment, 500, 3) for environment in range(3)])
     assert torch.equal(buffer.storage[:]["agents", "observation"], whole["agents", "observation"][order])
-    with pytest.raises(IzooError, match="takes no writer, collate_fn"):
-        collect.replay_buffer(tmp_path / "d", writer=None, collate_fn=None)
 
 
 @pytest.mark.parametrize(
@@ -248,16 +216,6 @@ def test_a_data_set_with_a_file_cut_short_is_refused_and_left_alone(
     assert (path.stat().st_size if path.exists() else None) == before
 
 
-def test_a_file_system_that_cannot_reserve_room_does_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(descriptor: int, offset: int, size: int) -> None:
-        raise OSError(errno.EOPNOTSUPP, os.strerror(errno.EOPNOTSUPP))
-
-    monkeypatch.setattr(os, "posix_fallocate", refuse, raising=False)
-    (tmp_path / "x.memmap").write_bytes(bytes(4))
-    reserve(tmp_path)
-    assert (tmp_path / "x.memmap").read_bytes() == bytes(4)
-
-
 def test_a_data_set_reads_nothing_outside_of_its_folder(data: Path, tmp_path: Path) -> None:
     shutil.copytree(data, tmp_path / "data")
     (tmp_path / "secret.memmap").write_bytes(bytes(4))
@@ -303,7 +261,7 @@ def test_a_data_set_that_would_run_code_is_refused(data: Path, tmp_path: Path) -
 
 
 def test_an_unfinished_shard_is_never_part_of_the_data(tmp_path: Path, data: Path) -> None:
-    writer = ShardWriter(CollectConfig(frames=100, shard_frames=40), tmp_path, 2)
+    writer = ShardWriter(CollectConfig(frames=100, shard_frames=40), tmp_path)
     writer.write(collect.load(data)[:50])
     assert [len(shard) for shard in dataset.load_shards(tmp_path)] == [40]
     writer.finish_shard()

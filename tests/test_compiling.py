@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -182,38 +181,6 @@ def test_who_compiles_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     with compiling.compiling_once(kernel(tmp_path, compiled=True)):
         pass
     assert capsys.readouterr().err == ""
-
-
-def test_others_wait_for_the_one_that_compiles_and_not_for_each_other(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    first = kernel(tmp_path)
-    waited, together = [], threading.Barrier(3, timeout=20.0)
-
-    def wait() -> None:
-        with compiling.compiling_once(first):
-            waited.append(bool(list(tmp_path.glob("*.nbi"))))
-            together.wait()
-
-    threads = [threading.Thread(target=wait) for _ in range(2)]
-    with compiling.compiling_once(first):
-        for thread in threads:
-            thread.start()
-        time.sleep(0.2)
-        assert waited == []
-        kernel(tmp_path, compiled=True)
-    together.wait()
-    for thread in threads:
-        thread.join()
-    assert waited == [True, True]
-    assert capsys.readouterr().err.count("Compiling") == 1
-
-
-def test_a_failure_while_compiling_frees_the_others(tmp_path: Path) -> None:
-    with pytest.raises(KeyError), compiling.compiling_once(kernel(tmp_path)):
-        raise KeyError
-    with compiling.compiling_once(kernel(tmp_path)):
-        pass
 
 
 def test_a_function_that_only_borrows_may_not_make_an_array() -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EnvConfig
-from izoo.training.batch_statistics import episode_stats
+from izoo.training.batch_statistics import episode_stats, unused_slots
 from izoo.training.environments import training_class
 
 
@@ -26,3 +27,9 @@ def test_a_lost_episode_is_not_logged() -> None:
     batch = torch.stack(steps, 1)
     assert int(batch["next", "done"].sum()) == 2
     assert episode_stats(batch)["episodes"] == 1.0
+
+
+@pytest.mark.parametrize(("most", "slots", "enough"), [(2, 64, 4), (5, 64, 16), (16, 64, 32), (17, 64, 0), (0, 64, 0)])
+def test_a_size_is_suggested_where_most_slots_stay_empty(most: int, slots: int, enough: int) -> None:
+    words = unused_slots(most, slots)
+    assert (f"env.num_agents={enough} " in words) == bool(enough) and bool(words) == bool(enough)

@@ -153,11 +153,12 @@ def test_own_city(extract: str | None, tmp_path: Path) -> None:
         assert [len(spec.approach_names) for spec in load_specs(tmp_path / "town")] == [4, 3]
 
 
-def test_offline_data() -> None:
+def test_offline_data(tmp_path: Path) -> None:
     from izoo.docs.examples import offline_data
 
-    losses = offline_data.main(frames=600, updates=20, horizon_s=75.0)
+    losses, summary = offline_data.main(frames=600, updates=20, horizon_s=75.0, contexts=2, cache=tmp_path)
     assert len(losses) == 20 and np.isfinite(losses).all()
+    assert {"clone", "glide"} <= summary["entries"].keys()
 
 
 def test_adoption_refuses_what_it_cannot_use_before_anything_is_played(

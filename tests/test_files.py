@@ -23,10 +23,8 @@ from izoo.files import (
     partial_of,
     replacing_folder,
     unpacked,
-    write_bytes,
     write_text,
 )
-from izoo.user_key import own_key
 
 
 @pytest.mark.parametrize(
@@ -106,14 +104,6 @@ def test_a_key_is_made_once_and_for_its_user_alone(
     assert path.stat().st_mode & 0o077 == 0 and len(list(path.parent.iterdir())) == 1
 
 
-def test_where_no_key_can_be_kept_a_process_has_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "izoo").touch()
-    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
-    own_key.cache_clear()
-    assert own_key() == own_key() and len(own_key()) == 32
-    own_key.cache_clear()
-
-
 def test_what_unpacks_to_more_than_its_bound_is_refused() -> None:
     assert unpacked(gzip.compress(bytes(10)), 10) == bytes(10)
     with pytest.raises(OSError, match="more than 10 bytes"):
@@ -132,13 +122,6 @@ def test_parts_that_torch_would_not_have_compressed_are_refused(tmp_path: Path) 
     assert torch.load(path, weights_only=True)["x"].shape == (4,), "torch itself takes it"
     with pytest.raises(DamagedError, match="is not what was written"):
         check_parts(path)
-
-
-def test_an_error_names_the_file_that_was_wanted(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(OSError) as caught:
-        write_bytes(tmp_path / "file" / "below", b"")
-    assert caught.value.filename == str(tmp_path / "file" / "below")
 
 
 def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:

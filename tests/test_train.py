@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import time
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +20,13 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from izoo import files, train
 from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
-from izoo.contexts.context import Context
-from izoo.contexts.procedural import procedural_context
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.results import read_table
 from izoo.results.store import read_manifest
 from izoo.training import checkpoint, run_folder
 from izoo.training.loggers import MetricsTable
-from izoo.training.schedules import ShiftedSchedule
+from tests.training.toy import begun
 
 TOY = [
     *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "algo.hidden=[16]"),
@@ -71,14 +68,6 @@ def test_a_run_leaves_what_it_promises(finished: Path) -> None:
     assert (finished / "evaluations" / "last" / (record.source or "")).resolve() == checkpoint.find(finished).resolve()
 
 
-@pytest.mark.slow
-def test_a_run_ends_with_a_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["total_frames=200", "evaluation.contexts=1", "collector=single", "env.horizon_s=100"]
-    assert train.main([*TOY, *options, f"run_dir={tmp_path / 'run'}"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert said.endswith("intersection, too few for an interval (6).") and "CO2" in said
-
-
 def test_the_policy_of_a_run_can_be_used(finished: Path) -> None:
     policy = run_folder.load_policy(finished)
     features = len(observation_names(run_folder.read_config(finished).env))
@@ -94,24 +83,6 @@ def test_an_occupied_run_folder_is_refused(finished: Path, capsys: pytest.Captur
     assert train.main([*TOY, f"run_dir={finished}"]) == 2
     assert "resume=" in capsys.readouterr().err
     assert sorted(finished.rglob("*")) == before
-
-
-def test_the_single_collector(tmp_path: Path) -> None:
-    run_dir = tmp_path / "run"
-    assert train.main([*TOY, "collector=single", "total_frames=400", f"run_dir={run_dir}"]) == 0
-    assert [int(row["frames"]) for row in rows(run_dir)] == [200, 400]
-
-
-@pytest.mark.slow
-def test_the_multisync_collector(tmp_path: Path) -> None:
-    run_dir = tmp_path / "run"
-    words = [*TOY, "collector=multisync", "total_frames=400", f"run_dir={run_dir}"]
-    # Apart, because TorchRL sets the start method of the process.
-    done = subprocess.run(
-        [sys.executable, "-m", "izoo.train", *words], cwd=tmp_path, capture_output=True, text=True, timeout=250
-    )
-    assert done.returncode == 0, done.stderr
-    assert [int(row["frames"]) for row in rows(run_dir)] == [200, 400]
 
 
 @pytest.mark.slow
@@ -145,20 +116,10 @@ def test_resume_goes_on_where_the_run_stopped(tmp_path: Path, capsys: pytest.Cap
     assert checkpoint.frames_of(checkpoint.listed(run_dir)[-1]) == 600
 
 
-def start(run_dir: Path, *words: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "izoo.train", *TOY, "total_frames=100000000", f"run_dir={run_dir}", *words]
-    process = subprocess.Popen(
-        command, cwd=run_dir.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline and process.poll() is None and not checkpoint.listed(run_dir):
-        time.sleep(0.1)
-    return process
-
-
 def test_ctrl_c_once_finishes_in_good_order(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
-    process = start(run_dir, "checkpoint.every_batches=3")
+    words = [*TOY, "total_frames=100000000", "checkpoint.every_batches=3"]
+    process = begun(run_dir, words, lambda: checkpoint.listed(run_dir))
     os.killpg(process.pid, signal.SIGINT)  # a terminal reaches the whole group, workers included
     output, error = process.communicate(timeout=120)
     assert process.returncode == 130, error
@@ -204,18 +165,6 @@ def test_a_flipped_byte_of_a_weight_is_noticed(tmp_path: Path) -> None:
         checkpoint.load(path)
 
 
-def test_compressed_parts_are_refused(tmp_path: Path) -> None:
-    """A few bytes can stand for more than fits into the memory."""
-    path = checkpoint.save(tmp_path, 100, make_state(), keep=1)
-    with zipfile.ZipFile(path) as stored:
-        parts = {member.filename: stored.read(member) for member in stored.infolist()}
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
-        for name, content in parts.items():
-            packed.writestr(name, content)
-    with pytest.raises(IzooError, match="is not what was written"):
-        checkpoint.load(path)
-
-
 def test_a_failed_save_keeps_the_last_good_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = checkpoint.save(tmp_path, 100, make_state(), keep=1)
 
@@ -229,23 +178,6 @@ def test_a_failed_save_keeps_the_last_good_checkpoint(tmp_path: Path, monkeypatc
     assert list(first.parent.iterdir()) == [first]
 
 
-@pytest.mark.slow
-def test_a_full_disk_ends_the_run_with_one_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run_dir = tmp_path / "run"
-    assert train.main([*TOY, "collector=single", "total_frames=200", f"run_dir={run_dir}"]) == 0
-    partial, real = tmp_path / "partial", files.partial_of
-    partial.symlink_to("/dev/full")  # every write there meets a full disk
-    monkeypatch.setattr(files, "partial_of", lambda path: partial if path.name == "metrics.csv" else real(path))
-    assert train.main([f"resume={run_dir}", "total_frames=400"]) == 1
-    error = capsys.readouterr().err
-    assert "No space left on device" in error and f"resume={run_dir}" in error and "step-000000000200.pt" in error
-    assert checkpoint.load(checkpoint.find(run_dir))["frames"] == 200
-    monkeypatch.undo()
-    assert train.main([f"resume={run_dir}", "total_frames=400"]) == 0
-
-
 def test_the_table_grows_columns_and_leaves_unknown_numbers_empty(tmp_path: Path) -> None:
     table = MetricsTable(tmp_path / "metrics.csv")
     table.append({"frames": 10, "reward": 0.5})
@@ -254,13 +186,6 @@ def test_the_table_grows_columns_and_leaves_unknown_numbers_empty(tmp_path: Path
     again = MetricsTable(tmp_path / "metrics.csv", last_frames=20)
     assert again.series("return") == ([20], [-3.0])
     assert again.series("reward") == ([10, 20], [0.5, 0.25])
-
-
-def test_a_resumed_schedule_plays_the_episodes_that_follow() -> None:
-    def schedule(episode: int) -> tuple[Context, int]:
-        return procedural_context(), episode
-
-    assert ShiftedSchedule(schedule, 40)(2)[1] == 42
 
 
 @pytest.mark.slow
@@ -284,6 +209,4 @@ def test_logger_tensorboard_writes_events(tmp_path: Path) -> None:
 
 def test_total_frames_are_rounded_up_to_whole_batches_of_all_workers() -> None:
     config = compose_config(TrainConfig, ["num_workers=3", "algo.frames_per_batch=100"])
-    from izoo.training.batch_size import frames_per_batch
-
-    assert frames_per_batch(config) == 102
+    assert config.batch_frames == 102

@@ -8,7 +8,15 @@ from dataclasses import dataclass
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, BY_STEP, MIN_SHARE, EnvConfig
+from izoo.envs.config import (
+    ACTION_HIGH_MPS2,
+    ACTION_LOW_MPS2,
+    BEFORE_AND_BEHIND,
+    BY_STEP,
+    MIN_SHARE,
+    SPEED,
+    EnvConfig,
+)
 from izoo.errors import check_range, check_types
 
 if TYPE_CHECKING:
@@ -16,8 +24,7 @@ if TYPE_CHECKING:
     from izoo.algos.learners.base import Algorithm
 
 Build = Callable[..., "Algorithm"]
-"""Builds an algorithm from its options, the length of an observation, the bounds of its action and, where the action 0
-leaves a vehicle alone, ``point_mass=``, a :class:`PointMass`, or, where an action is several numbers, ``size=``."""
+"""Builds an algorithm from its options, the length of an observation and an :class:`ActionSpace`."""
 
 SPREADS = (0.02, 10.0)
 """Least and most standard deviation of an untrained normal policy. Networks keep theirs above 0.01
@@ -55,22 +62,68 @@ class PointMass:
 
 
 @dataclass(frozen=True)
-class DirectAction:
+class ActionSpace:
+    """What the actions of an algorithm may be.
+
+    Attributes:
+        low, high: bounds: of an acceleration in m/s^2, a share of the speed limit, or a raw action.
+        point_mass: at the action 0, which leaves a vehicle alone; ``None``: there is none.
+        size: numbers of an action.
+    """
+
+    low: float
+    high: float
+    point_mass: PointMass | None = None
+    size: int = 1
+
+    @property
+    def middle(self) -> float:
+        """The middle of the range."""
+        return (self.high + self.low) / 2
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of the range."""
+        return (self.high - self.low) / 2
+
+
+class ActionMode:
+    """What options of a run ask of a choice of ``action=``.
+
+    Attributes:
+        sets: settings of the environment that go with it.
+        commands: what the environment must take as actions.
+        every_step: whether its policy has to decide in every step.
+    """
+
+    sets: ClassVar[Mapping[str, Any]] = {}
+    commands: ClassVar[Mapping[str, Any]] = {}
+    every_step: ClassVar[bool] = False
+
+
+@dataclass(frozen=True)
+class DirectAction(ActionMode):
     """The policy's action is the acceleration.
 
     Attributes:
         name: the action mode.
+        low_mps2, high_mps2: range of the policy's action, in m/s^2. The environment clips it to -4.5 and 2.6, so in a
+            wider range, such as the paper's, a policy that explores brakes and accelerates fully more often.
     """
 
     name: Literal["direct"] = "direct"
-    sets: ClassVar[Mapping[str, Any]] = BY_STEP
+    low_mps2: float = ACTION_LOW_MPS2
+    high_mps2: float = ACTION_HIGH_MPS2
+    sets = BY_STEP
 
     def __post_init__(self) -> None:
         check_types("action", self)
+        check_range("action.low_mps2", self.low_mps2, -100.0, -0.01, "m/s^2")
+        check_range("action.high_mps2", self.high_mps2, 0.01, 100.0, "m/s^2")
 
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
         """Return the algorithm that ``build`` makes."""
-        learned = build(config, features, ACTION_LOW_MPS2, ACTION_HIGH_MPS2)
+        learned = build(config, features, ActionSpace(self.low_mps2, self.high_mps2))
         if not _stores_applied(config):
             return learned
         from izoo.algos.actions.executed_actions import ExecutedActions
@@ -79,7 +132,7 @@ class DirectAction:
 
 
 @dataclass(frozen=True)
-class SpeedAction:
+class SpeedAction(ActionMode):
     """The policy's action is a desired speed, as a share of the limit, which the vehicle's own car-following keeps to.
 
     It may be one number or one each before and behind the stop line (``env.action_parts``). It takes the place of
@@ -93,6 +146,7 @@ class SpeedAction:
     """
 
     name: Literal["speed"] = "speed"
+    commands: ClassVar[Mapping[str, Any]] = {"action": SPEED}
     slowest: float = 0.2
     initial: float = 0.85
     spread: float = 0.6
@@ -106,11 +160,11 @@ class SpeedAction:
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
         """Return the algorithm that ``build`` makes."""
         begun = _begun(config, self.initial, self.spread)
-        return build(begun, features, self.slowest, 1.0, size=env.action_size)
+        return build(begun, features, ActionSpace(self.slowest, 1.0, size=env.action_size))
 
 
 @dataclass(frozen=True)
-class ArriveAction:
+class ArriveAction(ActionMode):
     """The policy's action: how late in a green a vehicle should arrive, and how slowly it should drive behind the line.
 
     Both become desired speeds (``env.action=speed env.action_parts=[speed_before,speed_behind]``). It
@@ -124,6 +178,7 @@ class ArriveAction:
     """
 
     name: Literal["arrive"] = "arrive"
+    commands: ClassVar[Mapping[str, Any]] = {"action": SPEED, "action_parts": BEFORE_AND_BEHIND}
     slowest: float = 0.2
     initial: float = 0.25
     spread: float = 0.6
@@ -138,7 +193,7 @@ class ArriveAction:
         """Return the algorithm that ``build`` makes."""
         from izoo.algos.actions.arrival import Arrival, Arriving
 
-        learned = build(_begun(config, self.initial, self.spread), features, 0.0, 1.0, size=2)
+        learned = build(_begun(config, self.initial, self.spread), features, ActionSpace(0.0, 1.0, size=2))
         return Arriving(learned, Arrival(env, self.slowest))
 
 
@@ -149,7 +204,7 @@ def _begun(config: Any, initial: float, spread: float) -> Any:
 
 
 @dataclass(frozen=True)
-class AdviseAction:
+class AdviseAction(ActionMode):
     """The policy's action is speed advice to the simulator's own driver: above 0 a lower speed limit, else none.
 
     Apart from its exploration, an untrained policy is therefore the uncommanded CV. Advice acts before the stop line.
@@ -163,7 +218,8 @@ class AdviseAction:
     """
 
     name: Literal["advise"] = "advise"
-    sets: ClassVar[Mapping[str, Any]] = BY_STEP
+    sets = BY_STEP
+    every_step = True
     depth: float = 0.8
     brake_mps2: float = 1.5
     act_share: float = 0.06
@@ -185,7 +241,7 @@ class AdviseAction:
         from izoo.algos.actions.action_wrappers import SpeedCap, TransformedAlgorithm
         from izoo.algos.drivers.by_name import make_driver
 
-        learned = build(config, features, -self.depth, self.depth, point_mass=self.point_mass)
+        learned = build(config, features, ActionSpace(-self.depth, self.depth, self.point_mass))
         name = getattr(config, "warm_start", "none")
         expert = None if name == "none" else make_driver(name, env)
         return TransformedAlgorithm(
@@ -194,7 +250,7 @@ class AdviseAction:
 
 
 @dataclass(frozen=True)
-class ResidualAction:
+class ResidualAction(ActionMode):
     """The policy's action is subtracted from the acceleration of the nominal controller, glide.
 
     A CV that glide leaves alone stays with the simulator's driver unless its action is above 0.
@@ -209,7 +265,8 @@ class ResidualAction:
     """
 
     name: Literal["residual"] = "residual"
-    sets: ClassVar[Mapping[str, Any]] = BY_STEP
+    sets = BY_STEP
+    every_step = True
     half_width_mps2: float = 1.0
     act_share: float = 0.08
     spread: float = 0.35
@@ -229,7 +286,8 @@ class ResidualAction:
         from izoo.algos.actions.action_wrappers import TransformedAlgorithm
         from izoo.algos.actions.residual import Correction, NominalDriver
 
-        learned = build(config, features, -self.half_width_mps2, self.half_width_mps2, point_mass=self.point_mass)
+        space = ActionSpace(-self.half_width_mps2, self.half_width_mps2, self.point_mass)
+        learned = build(config, features, space)
         return TransformedAlgorithm(
             learned, Correction(NominalDriver(env)), self.half_width_mps2, executed=_executed(config, env)
         )

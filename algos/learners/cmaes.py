@@ -22,10 +22,11 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from izoo.algos.actions.action_modes import AdviseAction, PointMass
+from izoo.algos.actions.action_modes import ActionSpace, AdviseAction
 from izoo.algos.learners import base
 from izoo.algos.learners.registry import ON_TWIN, AlgoConfig
 from izoo.algos.losses.masked_gae import TEAM_REWARD
+from izoo.envs import COMPILED
 from izoo.envs.config import BY_STEP
 from izoo.envs.mdp.reward import RewardConfig
 from izoo.errors import IzooError, check_range, check_types
@@ -71,7 +72,7 @@ class CMAESConfig(AlgoConfig):
             },
             "num_envs": 256,
             "total_frames": 1_990_000,
-            "validation": {"every_batches": 4, "contexts": 16, "seeds": 3, "simulator": "twin"},
+            "validation": {"every_batches": 4, "contexts": 16, "seeds": 3, "simulator": COMPILED},
         }
     }
 
@@ -103,7 +104,7 @@ class LinearPolicies(TensorDictModuleBase):
 
     Args:
         features: length ``F`` of an observation.
-        low, high: bounds of the action.
+        space: of the actions.
         population: policies, of ``F + 1`` weights each.
         band: see above; ``None``: there is none.
     """
@@ -115,10 +116,10 @@ class LinearPolicies(TensorDictModuleBase):
     reads: base.Keys = ()
     """What :meth:`kind_of` looks at."""
 
-    def __init__(self, features: int, low: float, high: float, population: int, band: float | None) -> None:
+    def __init__(self, features: int, space: ActionSpace, population: int, band: float | None) -> None:
         super().__init__()
         self.in_keys, self.out_keys = [base.OBSERVATION, base.MASK], [base.ACTION]
-        self.middle, self.half, self.band = (high + low) / 2, (high - low) / 2, band
+        self.middle, self.half, self.band = space.middle, space.half_width, band
         self.register_buffer("mean", torch.zeros(features + 1))
         self.register_buffer("candidates", torch.zeros(population, features + 1))
 
@@ -169,24 +170,17 @@ class CMAES:
     Args:
         config: hyper-parameters.
         features: length of an observation.
-        low, high: bounds of the action: of an acceleration in m/s^2, or of a raw action.
+        space: of the actions; with a point mass, a policy whose weights are 0 leaves every vehicle alone.
         device: where the weights live.
-        point_mass: at the action 0; a policy whose weights are 0 then leaves every vehicle alone.
     """
 
     options: type[AlgoConfig] = CMAESConfig
 
     def __init__(
-        self,
-        config: CMAESConfig,
-        features: int,
-        low: float,
-        high: float,
-        device: torch.device | str = "cpu",
-        point_mass: PointMass | None = None,
+        self, config: CMAESConfig, features: int, space: ActionSpace, device: torch.device | str = "cpu"
     ) -> None:
-        band = None if point_mass is None else config.initial_spread
-        self._start(config, LinearPolicies(features, low, high, config.population, band).to(device))
+        band = None if space.point_mass is None else config.initial_spread
+        self._start(config, LinearPolicies(features, space, config.population, band).to(device))
 
     def _start(self, config: Any, policy: Any) -> None:
         """Begin to search the numbers of a module like :class:`LinearPolicies`."""

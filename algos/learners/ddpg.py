@@ -19,13 +19,14 @@ from torch import Tensor, nn
 from torchrl.modules import ValueOperator
 from torchrl.objectives import LossModule, SoftUpdate
 
-from izoo.algos.actions.action_modes import PointMass
+from izoo.algos.actions.action_modes import ActionSpace
 from izoo.algos.learners import base
 from izoo.algos.learners.registry import AlgoConfig
 from izoo.algos.learners.replay import ERROR, Replay, transitions
 from izoo.algos.losses import MaskedDDPGLoss
 from izoo.algos.networks import compiled_mlp
 from izoo.algos.networks.set_networks import spread_out
+from izoo.envs.config import SPEED
 from izoo.errors import check_choice, check_range, check_types
 
 
@@ -82,8 +83,8 @@ class DDPGConfig(AlgoConfig):
             10,000; ours the whole run).
         hidden: widths of the hidden layers of each network (RLlib, Lillicrap 400, 300; ours 128, 128).
         activation: ``relu`` (RLlib, Lillicrap), ``tanh`` or ``silu``.
-        initial_accel_mps2: acceleration of the untrained actor (RLlib: middle of the range, -0.95; ours 0.5). With
-            ``action=advise`` or ``residual`` the untrained action is 0 instead.
+        initial_accel_mps2: acceleration of the untrained actor; ``null``: the middle of the range (RLlib: that; ours
+            0.5). With ``action=advise`` or ``residual`` the untrained action is 0 instead.
         stores: what a transition holds as the action: ``commanded``, what the policy chose, or ``applied``, what came
             of it. The simulator's own driver may brake harder than a command asks, and then every such command does
             the same; ``applied`` stores the acceleration that the vehicle had, and of advice that changed nothing that
@@ -119,7 +120,7 @@ class DDPGConfig(AlgoConfig):
     noise_frames: int | None = None
     hidden: tuple[int, ...] = (128, 128)
     activation: Literal["tanh", "relu", "silu"] = "relu"
-    initial_accel_mps2: float = 0.5
+    initial_accel_mps2: float | None = 0.5
     stores: Literal["commanded", "applied"] = "commanded"
     save_replay: bool = True
 
@@ -149,6 +150,15 @@ class DDPGConfig(AlgoConfig):
     def emits(self) -> tuple[str, ...]:
         """Groups that the environment has to emit for this algorithm."""
         return ("number",) if self.control_variate == "vehicle" else ()
+
+    def by_step(self, run: Any) -> tuple[str, ...]:
+        """Return the options with which it learns from decisions in every step alone."""
+        return ("algo.stores=applied",) if self.stores == "applied" and run.env.action != SPEED else ()
+
+    @property
+    def second_play(self) -> str:
+        """The option for which every training episode is played a second time, uncommanded; empty: there is none."""
+        return "" if self.control_variate == "none" else f"algo.control_variate={self.control_variate}"
 
     @classmethod
     def paper(cls) -> DDPGConfig:
@@ -180,16 +190,16 @@ class DDPGConfig(AlgoConfig):
             noise_final=0.02,
             noise_frames=10_000,
             hidden=(400, 300),
-            initial_accel_mps2=-0.95,
+            initial_accel_mps2=None,
         )
 
 
 class Squash(nn.Module):
-    """Maps any number into ``(low, high)`` by a tanh."""
+    """Maps any number into the range of actions by a tanh."""
 
-    def __init__(self, low: float, high: float) -> None:
+    def __init__(self, space: ActionSpace) -> None:
         super().__init__()
-        self.middle, self.half_width = (high + low) / 2, (high - low) / 2
+        self.middle, self.half_width = space.middle, space.half_width
 
     def forward(self, raw: Tensor) -> Tensor:
         """Return accelerations of the same shape, m/s^2."""
@@ -199,28 +209,26 @@ class Squash(nn.Module):
 class ActionValue(nn.Module):
     """Q(o, a) of one agent's own observation and action, which enters scaled to [-1, 1]."""
 
-    def __init__(self, features: int, low: float, high: float, config: DDPGConfig, size: int = 1) -> None:
+    def __init__(self, features: int, space: ActionSpace, config: DDPGConfig) -> None:
         super().__init__()
-        self.middle, self.half_width = (high + low) / 2, (high - low) / 2
-        self.network = base.mlp(features + size, config.hidden, 1, config.activation, last_gain=1.0)
+        self.middle, self.half_width = space.middle, space.half_width
+        self.network = base.mlp(features + space.size, config.hidden, 1, config.activation, last_gain=1.0)
 
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:
         """Return values ``[*B, 1]`` of observations ``[*B, F]`` and actions ``[*B, D]``."""
         return self.network(torch.cat([observation, (action - self.middle) / self.half_width], dim=-1))
 
 
-def make_actor(
-    features: int, low: float, high: float, config: DDPGConfig, point_mass: PointMass | None = None, size: int = 1
-) -> TensorDictModule:
-    """Return the deterministic policy, for any number of agents or flat rows ``[*B, F]``; with
-    ``point_mass``, its untrained action is 0."""
-    initial = config.initial_accel_mps2 if point_mass is None else 0.0
-    check_range("algo.initial_accel_mps2", initial, low + 1e-3, high - 1e-3, "m/s^2")
-    network = base.mlp(features, config.hidden, size, config.activation, last_gain=0.01)
-    middle, half = (high + low) / 2, (high - low) / 2
+def make_actor(features: int, space: ActionSpace, config: DDPGConfig) -> TensorDictModule:
+    """Return the deterministic policy, for any number of agents or flat rows ``[*B, F]``; with a point mass, its
+    untrained action is 0."""
+    initial = config.initial_accel_mps2 if space.point_mass is None else 0.0
+    initial = space.middle if initial is None else initial
+    check_range("algo.initial_accel_mps2", initial, space.low + 1e-3, space.high - 1e-3, "m/s^2")
+    network = base.mlp(features, config.hidden, space.size, config.activation, last_gain=0.01)
     with torch.no_grad():
-        network[-1].bias[:] = math.atanh((initial - middle) / half)  # type: ignore[operator, index]
-    squashed = nn.Sequential(network, Squash(low, high))
+        network[-1].bias[:] = math.atanh((initial - space.middle) / space.half_width)  # type: ignore[operator, index]
+    squashed = nn.Sequential(network, Squash(space))
     return TensorDictModule(squashed, in_keys=[base.OBSERVATION], out_keys=[base.ACTION])
 
 
@@ -232,27 +240,25 @@ class ExploringPolicy(TensorDictModuleBase):
 
     Args:
         actor: from :func:`make_actor`; shared, not copied.
-        low, high: bounds of the action.
+        space: of the actions; with a point mass, actions around 0 count as 0: :attr:`no_op_band`. The replay stores the
+            action itself, so that the critic's gradient leads out of the band.
         config: hyper-parameters.
-        point_mass: actions around 0 then count as 0: :attr:`no_op_band`. The replay stores the action itself, so that
-            the critic's gradient leads out of the band.
     """
 
     noise_factor: Tensor
     uniform: Tensor
 
-    def __init__(
-        self, actor: TensorDictModule, low: float, high: float, config: DDPGConfig, point_mass: PointMass | None = None
-    ) -> None:
+    def __init__(self, actor: TensorDictModule, space: ActionSpace, config: DDPGConfig) -> None:
         super().__init__()
         self.in_keys, self.out_keys = [base.OBSERVATION, base.MASK], [base.ACTION]
         self.network = actor.module
         self.size = self.network[0][-1].out_features
         self.arrays = compiled_mlp.Arrays(self.network)
-        self.low, self.high = float(low), float(high)
-        self.theta, self.sigma = config.noise_theta, config.noise_sigma * (high - low)
+        self.low, self.high = float(space.low), float(space.high)
+        self.theta, self.sigma = config.noise_theta, config.noise_sigma * (space.high - space.low)
         stationary = self.sigma / math.sqrt(max(1.0 - (1.0 - self.theta) ** 2, 1e-3))
-        self.no_op_band = 0.0 if point_mass is None else min(point_mass.band(stationary), 0.5 * self.high)
+        mass = space.point_mass
+        self.no_op_band = 0.0 if mass is None else min(mass.band(stationary), 0.5 * self.high)
         # Buffers, so that collectors in other processes receive them with the weights.
         self.register_buffer("noise_factor", torch.tensor(1.0))
         self.register_buffer("uniform", torch.tensor(config.random_frames > 0))
@@ -296,31 +302,23 @@ class DDPG:
     Args:
         config: hyper-parameters.
         features: length ``F`` of an observation.
-        low, high: bounds of the action: of an acceleration in m/s^2, a share of the speed limit, or a raw action.
+        space: of its actions.
         device: where the networks and the replay live.
-        point_mass: at the action 0, which leaves a vehicle alone; ``None``: there is none.
-        size: numbers of an action.
     """
 
     options: type[AlgoConfig] = DDPGConfig
     critic_name = "value"
     """What TorchRL's loss calls its critics."""
+    gradient_steps = 0
 
     def __init__(
-        self,
-        config: DDPGConfig,
-        features: int,
-        low: float,
-        high: float,
-        device: torch.device | str = "cpu",
-        point_mass: PointMass | None = None,
-        size: int = 1,
+        self, config: DDPGConfig, features: int, space: ActionSpace, device: torch.device | str = "cpu"
     ) -> None:
-        self.config, self.size = config, size
-        self.actor = make_actor(features, low, high, config, point_mass, size).to(device)
-        self.policy = ExploringPolicy(self.actor, low, high, config, point_mass).to(device)
+        self.config, self.space = config, space
+        self.actor = make_actor(features, space, config).to(device)
+        self.policy = ExploringPolicy(self.actor, space, config).to(device)
         self.untrained_output = self.actor.module[0][-1].bias[0].item()
-        self.loss = self.make_loss(features, low, high).to(device)
+        self.loss = self.make_loss(features).to(device)
         self.loss.set_keys(priority=ERROR)
         self.target_update = SoftUpdate(self.loss, tau=config.tau)
         self.parameters = {
@@ -340,19 +338,20 @@ class DDPG:
         )
         self.frames = self.frames_held = 0
 
-    def make_critic(self, features: int, low: float, high: float) -> ValueOperator:
+    def make_critic(self, features: int) -> ValueOperator:
         """Return a network of action values, on flat rows."""
-        network = ActionValue(features, low, high, self.config, self.size)
+        network = ActionValue(features, self.space, self.config)
         return ValueOperator(network, in_keys=[base.OBSERVATION, base.ACTION], out_keys=[base.ACTION_VALUE])
 
-    def make_loss(self, features: int, low: float, high: float) -> LossModule:
+    def make_loss(self, features: int) -> LossModule:
         """Return the loss of ``actor`` and a critic of its own."""
-        self.critic = self.make_critic(features, low, high)
+        self.critic = self.make_critic(features)
         return MaskedDDPGLoss(self.actor, self.critic, loss_function=self.config.value_loss, gamma=self.config.gamma)
 
-    def moves_actor(self) -> bool:
-        """Whether this gradient step moves the actor and the target networks, too; asked once in each."""
-        return True
+    @property
+    def policy_delay(self) -> int:
+        """Gradient steps of the critic for each one of the actor and of the target networks."""
+        return 1
 
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
         """Store a batch ``[N, T]`` and learn from the replay; see :class:`izoo.algos.learners.base.Algorithm`."""
@@ -378,7 +377,9 @@ class DDPG:
         """Move the networks, then their targets, by one minibatch of transitions; returns what to log."""
         losses = self.loss(minibatch)
         self.optimiser.zero_grad()
-        parts, moved, moves_actor = {"loss_value": losses[f"loss_{self.critic_name}"]}, ["critic"], self.moves_actor()
+        self.gradient_steps += 1
+        moves_actor = self.gradient_steps % self.policy_delay == 0
+        parts, moved = {"loss_value": losses[f"loss_{self.critic_name}"]}, ["critic"]
         if moves_actor:
             output = self.actor.module[0](minibatch.get(base.OBSERVATION))
             distance = (output - self.untrained_output).square().mean()

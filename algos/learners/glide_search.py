@@ -21,13 +21,14 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from izoo.algos.actions.action_modes import DirectAction
+from izoo.algos.actions.action_modes import ActionSpace, DirectAction
 from izoo.algos.drivers.base import DEFER
 from izoo.algos.drivers.glide import Glide
 from izoo.algos.learners import base
 from izoo.algos.learners.cmaes import CMAES, CMAESConfig, own_numbers
 from izoo.algos.learners.registry import ON_TWIN
 from izoo.contexts.features import feature
+from izoo.envs import COMPILED
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, BY_STEP, EnvConfig
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M, TIME_SCALE_S
 from izoo.envs.mdp.reward import RewardConfig
@@ -72,7 +73,7 @@ class GlideSearchConfig(CMAESConfig):
             "twin": {"surrogate": "compiled", "compare_every": 0, "stagger": False},
             "num_envs": 512,
             "total_frames": 3_072_000,
-            "validation": {"every_batches": 5, "contexts": 48, "seeds": 3, "simulator": "twin"},
+            "validation": {"every_batches": 5, "contexts": 48, "seeds": 3, "simulator": COMPILED},
             "evaluation": {"contexts": 16, "seeds": 3},
         }
     }
@@ -293,9 +294,9 @@ class GlideSearch(CMAES):
 
     Args:
         config: hyper-parameters.
-        features, low, high: not needed: the rule reads columns by name, and commands accelerations.
+        features: not needed: the rule reads columns by name.
+        space: accelerations without a point mass: the rule itself says when to leave a CV alone.
         device: where the numbers live.
-        point_mass: must be ``None``: the rule itself says when to leave a CV alone.
         env: settings of the environment.
 
     Raises:
@@ -310,14 +311,12 @@ class GlideSearch(CMAES):
         self,
         config: GlideSearchConfig,
         features: int,
-        low: float,
-        high: float,
+        space: ActionSpace,
         device: torch.device | str = "cpu",
-        point_mass: Any = None,
         *,
         env: EnvConfig,
     ) -> None:
-        if point_mass is not None or not math.isclose(low, ACTION_LOW_MPS2):
+        if space.point_mass is not None or not math.isclose(space.low, ACTION_LOW_MPS2):
             raise IzooError(
                 "algo=glide_search commands accelerations and knows when to leave a CV alone; choose action=direct."
             )

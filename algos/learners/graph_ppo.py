@@ -27,7 +27,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor, ValueOperator
 
-from izoo.algos.actions.action_modes import PointMass
+from izoo.algos.actions.action_modes import ActionSpace
 from izoo.algos.learners import base
 from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.set_ppo import SetPPO
@@ -69,6 +69,7 @@ class GCRLConfig(PPOConfig):
     """
 
     name: str = "gcrl"
+    starts_with = "graph"
     neighbours: int | None = 4
     range_m: float | None = 100.0
     layers: int = 2
@@ -239,25 +240,15 @@ class GraphActor(SetNetwork):
 
     Args:
         features: length ``F`` of an observation.
-        low, high: bounds of the action.
+        space: of the actions.
         config: hyper-parameters.
-        point_mass: at the action 0; ``None``: there is none.
-        size: numbers of an action.
     """
 
-    def __init__(
-        self,
-        features: int,
-        low: float,
-        high: float,
-        config: GCRLConfig,
-        point_mass: PointMass | None = None,
-        size: int = 1,
-    ) -> None:
+    def __init__(self, features: int, space: ActionSpace, config: GCRLConfig) -> None:
         super().__init__()
-        self.graph = GraphNetwork(features, 2 * size, config, last_gain=0.01)
+        self.graph = GraphNetwork(features, 2 * space.size, config, last_gain=0.01)
         last = cast(nn.Linear, self.graph.head[-1])
-        self.extract = normal_parameters(last, low, high, config.initial_accel_mps2, config.initial_spread, point_mass)
+        self.extract = normal_parameters(last, space, config.initial_accel_mps2, config.initial_spread)
 
     def rows(
         self, observation: Tensor, frame: Tensor, column: Tensor, reach: Tensor | None = None
@@ -269,10 +260,8 @@ class GraphActor(SetNetwork):
 class GraphPolicy(SamplingPolicy):
     """The policy for collection; it acts on whole frames, so it needs the mask."""
 
-    def __init__(
-        self, actor: ProbabilisticActor, low: float, high: float, point_mass: PointMass | None = None, size: int = 1
-    ) -> None:
-        super().__init__(actor, low, high, point_mass, size)
+    def __init__(self, actor: ProbabilisticActor, space: ActionSpace) -> None:
+        super().__init__(actor, space)
         self.in_keys = [base.OBSERVATION, base.MASK]
 
     def parameters_of(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
@@ -286,14 +275,13 @@ class GCRL(SetPPO):
     options = GCRLConfig
     config: GCRLConfig
 
-    def make_actor(self, features: int, low: float, high: float) -> ProbabilisticActor:
+    def make_actor(self, features: int) -> ProbabilisticActor:
         """Return the policy on flat rows of whole frames."""
-        network = GraphActor(features, low, high, self.config, self.point_mass, self.size)
-        return tanh_normal(RowView(network), ROW, low, high, self.point_mass)
+        return tanh_normal(RowView(GraphActor(features, self.space, self.config)), ROW, self.space)
 
-    def make_policy(self, low: float, high: float) -> SamplingPolicy:
+    def make_policy(self) -> SamplingPolicy:
         """Return the policy for collection; it shares the parameters of ``actor``."""
-        return GraphPolicy(self.actor, low, high, self.point_mass, self.size)
+        return GraphPolicy(self.actor, self.space)
 
     def make_critic(self, features: int) -> ValueOperator:
         """Return the value function on flat rows of whole frames."""

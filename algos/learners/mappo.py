@@ -79,6 +79,10 @@ class MAPPOConfig(PPOConfig):
         team = ("team_reward",) if self.credit == "team" else ()
         return (*team, *super().emits, *(("vehicles",) if self.critic_sees == "all" else ()))
 
+    def by_step(self, run: Any) -> tuple[str, ...]:
+        """Return the options with which it learns from decisions in every step alone."""
+        return ("algo.credit=team",) if self.credit == "team" else ()
+
     def check_run(self, run: Any) -> None:
         """Raise :class:`IzooError` where other options of a run do not go with these."""
         super().check_run(run)

@@ -15,13 +15,14 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torchrl.modules import PopArtValueNorm, ProbabilisticActor, RunningValueNorm, ValueNorm, ValueOperator
 
-from izoo.algos.actions.action_modes import SPREADS, AdviseAction, PointMass
+from izoo.algos.actions.action_modes import SPREADS, ActionSpace, AdviseAction
 from izoo.algos.learners import base
 from izoo.algos.learners.imitation import EXPERT_ACTION, WarmStart
 from izoo.algos.learners.registry import ON_TWIN, AlgoConfig
 from izoo.algos.losses import MaskedPPOLoss
 from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.algos.networks.gaussian import CompiledPolicy, SamplingPolicy, normal_parameters, tanh_normal
+from izoo.envs import REFERENCE
 from izoo.envs.config import BY_STEP, RewardConfig
 from izoo.errors import IzooError, check_range, check_types
 
@@ -83,9 +84,9 @@ class PPOConfig(AlgoConfig):
             the first batch (Andrychowicz: of all observations so far; RLlib and ours: not).
         hidden: widths of the hidden layers of each of the two networks (RLlib 256, 256; ours 128, 128).
         activation: ``tanh`` (RLlib, Andrychowicz), ``relu`` or ``silu``.
-        initial_accel_mps2: median acceleration of the untrained policy. Vehicles that hardly accelerate block the road,
-            and vehicles at full throttle learn slowly to do less (RLlib: middle of the range, -0.95; ours 0.5). With
-            ``action=advise`` or ``residual`` the untrained action is 0 instead.
+        initial_accel_mps2: median acceleration of the untrained policy; ``null``: the middle of the range. Vehicles
+            that hardly accelerate block the road, and vehicles at full throttle learn slowly to do less (RLlib: the
+            middle; ours 0.5). With ``action=advise`` or ``residual`` the untrained action is 0 instead.
         initial_spread: standard deviation of the untrained policy before the tanh (RLlib 1; ours 0.35, about 1 m/s^2).
             With ``action=advise`` or ``residual`` it is ``action.spread`` instead.
     """
@@ -119,7 +120,7 @@ class PPOConfig(AlgoConfig):
     standardise: bool = False
     hidden: tuple[int, ...] = (128, 128)
     activation: Literal["tanh", "relu", "silu"] = "tanh"
-    initial_accel_mps2: float = 0.5
+    initial_accel_mps2: float | None = 0.5
     initial_spread: float = 0.35
 
     def __post_init__(self) -> None:
@@ -147,7 +148,7 @@ class PPOConfig(AlgoConfig):
         check_range("algo.kl_to_start", self.kl_to_start, 0.0, 1e6)
         base.check_widths("algo.hidden", self.hidden)
 
-    takes_start = True
+    starts_with: ClassVar[str] = "layers"
     estimates_advantages = True
     runs: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "vehicle": {**ON_TWIN, "num_envs": 64, "total_frames": 92_160, "validation": {"every_batches": 20}},
@@ -157,7 +158,7 @@ class PPOConfig(AlgoConfig):
             "env": {**BY_STEP, "hold_s": 2.0, "reward": RewardConfig()},
             "num_envs": 32,
             "total_frames": 96_000,
-            "validation": {"every_batches": 2, "contexts": 6, "seeds": 3, "simulator": "sumo"},
+            "validation": {"every_batches": 2, "contexts": 6, "seeds": 3, "simulator": REFERENCE},
         },
     }
 
@@ -165,6 +166,11 @@ class PPOConfig(AlgoConfig):
     def emits(self) -> tuple[str, ...]:
         """Groups that the environment has to emit for this algorithm."""
         return ("number",) if self.control_variate == "vehicle" else ()
+
+    @property
+    def second_play(self) -> str:
+        """The option for which every training episode is played a second time, uncommanded; empty: there is none."""
+        return "" if self.control_variate == "none" else f"algo.control_variate={self.control_variate}"
 
     def check_run(self, run: Any) -> None:
         """Raise :class:`IzooError` where other options of a run do not go with these."""
@@ -224,21 +230,19 @@ class PPOConfig(AlgoConfig):
             max_grad_norm=None,
             reward_scale=1.0,
             hidden=(256, 256),
-            initial_accel_mps2=-0.95,
+            initial_accel_mps2=None,
             initial_spread=1.0,
         )
 
 
-def make_actor(
-    features: int, low: float, high: float, config: PPOConfig, point_mass: PointMass | None = None, size: int = 1
-) -> ProbabilisticActor:
-    """Return the policy: a tanh-squashed normal over actions ``[low, high]^size``; with ``point_mass``, a censored one.
+def make_actor(features: int, space: ActionSpace, config: PPOConfig) -> ProbabilisticActor:
+    """Return the policy: a tanh-squashed normal over the actions; with a point mass, a censored one.
 
     It works on the last dimension of ``("agents", "observation")``, for any number of agents or flat rows.
     """
-    network = base.mlp(features, config.hidden, 2 * size, config.activation, 0.01, config.standardise)
-    extract = normal_parameters(network[-1], low, high, config.initial_accel_mps2, config.initial_spread, point_mass)  # type: ignore[arg-type]
-    return tanh_normal(nn.Sequential(network, extract), [base.OBSERVATION], low, high, point_mass)
+    network = base.mlp(features, config.hidden, 2 * space.size, config.activation, 0.01, config.standardise)
+    extract = normal_parameters(network[-1], space, config.initial_accel_mps2, config.initial_spread)  # type: ignore[arg-type]
+    return tanh_normal(nn.Sequential(network, extract), [base.OBSERVATION], space)
 
 
 def make_value_norm(name: str) -> ValueNorm | None:
@@ -260,10 +264,8 @@ class PPO:
     Args:
         config: hyper-parameters.
         features: length ``F`` of an observation.
-        low, high: bounds of the action: of an acceleration in m/s^2, a share of the speed limit, or a raw action.
+        space: of its actions.
         device: where the networks live.
-        point_mass: at the action 0, which leaves a vehicle alone; ``None``: there is none.
-        size: numbers of an action.
 
     Attributes:
         advantage: ``[N, T, A]`` of the last batch, before it was normalised; 0 in empty slots.
@@ -274,18 +276,11 @@ class PPO:
     advantage: Tensor
 
     def __init__(
-        self,
-        config: PPOConfig,
-        features: int,
-        low: float,
-        high: float,
-        device: torch.device | str = "cpu",
-        point_mass: PointMass | None = None,
-        size: int = 1,
+        self, config: PPOConfig, features: int, space: ActionSpace, device: torch.device | str = "cpu"
     ) -> None:
-        self.config, self.point_mass, self.size = config, point_mass, size
-        self.actor = self.make_actor(features, low, high).to(device)
-        self.policy = self.make_policy(low, high)
+        self.config, self.space = config, space
+        self.actor = self.make_actor(features).to(device)
+        self.policy = self.make_policy()
         self.critic = self.make_critic(features).to(device)
         self.loss = self.make_loss().to(device)
         self.loss.make_value_estimator()
@@ -294,14 +289,14 @@ class PPO:
         self.optimiser = torch.optim.Adam(self.loss.parameters(), lr=config.lr, eps=1e-5, fused=True)
         self.warm_start = WarmStart(0 if config.warm_start == "none" else config.warm_start_frames, config.kl_to_start)
 
-    def make_actor(self, features: int, low: float, high: float) -> ProbabilisticActor:
+    def make_actor(self, features: int) -> ProbabilisticActor:
         """Return the policy as the loss uses it, on flat rows."""
-        return make_actor(features, low, high, self.config, self.point_mass, self.size)
+        return make_actor(features, self.space, self.config)
 
-    def make_policy(self, low: float, high: float) -> SamplingPolicy:
+    def make_policy(self) -> SamplingPolicy:
         """Return the policy for collection; it shares the parameters of ``actor``."""
         policy = SamplingPolicy if self.config.standardise else CompiledPolicy
-        return policy(self.actor, low, high, self.point_mass, self.size)
+        return policy(self.actor, self.space)
 
     def make_critic(self, features: int) -> ValueOperator:
         """Return the value function as the loss uses it, on flat rows."""

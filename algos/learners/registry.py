@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from izoo.envs import COMPILED
 from izoo.errors import IzooError, unknown_choice
 from izoo.imports import imported
 
@@ -27,7 +28,7 @@ DRIVER_NAMES = ("human", "uncommanded", "constant", "constant_2.0", "random", "g
 :func:`cap_share`."""
 CAP = "cap_"
 
-ON_TWIN: Mapping[str, Any] = {"simulator": "twin", "twin": {"surrogate": "compiled"}}
+ON_TWIN: Mapping[str, Any] = {"simulator": COMPILED, "twin": {"surrogate": "compiled"}}
 """Options of a run that plays on the twin."""
 
 
@@ -61,8 +62,8 @@ class AlgoConfig:
     frames_per_batch: int = 1950
     needs_env: ClassVar[bool] = False
     """Whether the algorithm is also told the settings of the environment, ``env=``."""
-    takes_start: ClassVar[bool] = False
-    """Whether it can begin with the policy of another run."""
+    starts_with: ClassVar[str] = ""
+    """Kind of network of the policies, of other runs, that it can begin with; empty: with none."""
     estimates_advantages: ClassVar[bool] = False
     """Whether it estimates advantages, which say how much a context still teaches."""
     runs: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
@@ -78,6 +79,15 @@ class AlgoConfig:
         """Groups that the environment has to emit for this algorithm."""
         return ("team_reward",) if self.candidates > 1 else ()
 
+    @property
+    def second_play(self) -> str:
+        """The option for which every training episode is played a second time, uncommanded; empty: there is none."""
+        return ""
+
+    def by_step(self, run: Any) -> tuple[str, ...]:
+        """Return the options with which it learns from decisions in every step alone."""
+        return (f"algo={self.name}",) if self.candidates > 1 else ()
+
     def check_run(self, run: Any) -> None:
         """Raise :class:`IzooError` where other options of a run do not go with these.
 
@@ -89,7 +99,7 @@ class AlgoConfig:
                 f"levels.draw=prioritised scores contexts by estimated advantages, and algo={self.name} has none; "
                 "choose algo=ppo, mappo or gcrl, or levels.draw=uniform."
             )
-        if run.start is not None and not self.takes_start:
+        if run.start is not None and not self.starts_with:
             raise IzooError(
                 f"start={run.start} begins with the policy of another run, which algo={self.name} cannot: what it "
                 "keeps beside its policy would not fit. Choose algo=ppo, mappo or gcrl, or leave start out."
@@ -100,9 +110,10 @@ class Home(typing.NamedTuple):
     """Where an algorithm lives.
 
     Attributes:
-        place: ``module:Class``. The class is called with its hyper-parameters, the length of an observation, the bounds
-            of its action, and ``device=``, and is an :class:`izoo.algos.learners.base.Algorithm`. Its attribute
-            ``options`` is the class of its hyper-parameters; without one it has those of :class:`AlgoConfig`.
+        place: ``module:Class``. The class is called with its hyper-parameters, the length of an observation, an
+            :class:`izoo.algos.actions.action_modes.ActionSpace`, and ``device=``, and is an
+            :class:`izoo.algos.learners.base.Algorithm`. Its attribute ``options`` is the class of its hyper-parameters;
+            without one it has those of :class:`AlgoConfig`.
         presets: class methods of ``options``; each is the choice ``algo=NAME_PRESET``.
     """
 

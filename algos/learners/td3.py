@@ -48,25 +48,24 @@ class TD3(DDPG):
     options = TD3Config
     config: TD3Config
     critic_name = "qvalue"
-    gradient_steps = 0
 
-    def make_loss(self, features: int, low: float, high: float) -> MaskedTD3Loss:
+    def make_loss(self, features: int) -> MaskedTD3Loss:
         """Return the loss of ``actor`` and two critics of its own."""
         config = self.config
         return MaskedTD3Loss(
             self.actor,
-            [self.make_critic(features, low, high) for _ in range(2)],
-            bounds=(low, high),
+            [self.make_critic(features) for _ in range(2)],
+            bounds=(self.space.low, self.space.high),
             target_noise=config.target_noise,
             target_noise_clip=config.target_noise_clip,
             loss_function=config.value_loss,
             gamma=config.gamma,
         )
 
-    def moves_actor(self) -> bool:
-        """Whether it is this gradient step's turn to move the actor and the targets."""
-        self.gradient_steps += 1
-        return self.gradient_steps % self.config.policy_delay == 0
+    @property
+    def policy_delay(self) -> int:
+        """Gradient steps of the critics for each one of the actor and of the target networks."""
+        return self.config.policy_delay
 
     def state_dict(self) -> dict[str, Any]:
         """Return what DDPG does, and how many gradient steps were made."""

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
-from tensordict.utils import NestedKey
 from torchrl.objectives import DDPGLoss
 
-from izoo.algos.learners import base
-from izoo.algos.losses.transitions import OnTransitions
+from izoo.algos.losses.transitions import AgentKeys, OnTransitions
 
 
 class MaskedDDPGLoss(OnTransitions, DDPGLoss):
@@ -25,12 +23,8 @@ class MaskedDDPGLoss(OnTransitions, DDPGLoss):
     """
 
     @dataclass
-    class _AcceptedKeys(DDPGLoss._AcceptedKeys):
-        state_action_value: NestedKey = base.ACTION_VALUE
-        reward: NestedKey = base.REWARD
-        done: NestedKey = base.DONE
-        terminated: NestedKey = base.TERMINATED
-        mask: NestedKey = base.MASK
+    class _AcceptedKeys(AgentKeys, DDPGLoss._AcceptedKeys):
+        pass
 
     default_keys = _AcceptedKeys
 

@@ -11,7 +11,7 @@ from tensordict.utils import NestedKey
 from torchrl.objectives import TD3Loss
 
 from izoo.algos.learners import base
-from izoo.algos.losses.transitions import OnTransitions
+from izoo.algos.losses.transitions import AgentKeys, OnTransitions
 
 
 class MaskedTD3Loss(OnTransitions, TD3Loss):
@@ -33,13 +33,8 @@ class MaskedTD3Loss(OnTransitions, TD3Loss):
     """
 
     @dataclass
-    class _AcceptedKeys(TD3Loss._AcceptedKeys):
+    class _AcceptedKeys(AgentKeys, TD3Loss._AcceptedKeys):
         action: NestedKey = base.ACTION
-        state_action_value: NestedKey = base.ACTION_VALUE
-        reward: NestedKey = base.REWARD
-        done: NestedKey = base.DONE
-        terminated: NestedKey = base.TERMINATED
-        mask: NestedKey = base.MASK
 
     default_keys = _AcceptedKeys
 

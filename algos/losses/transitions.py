@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from tensordict.utils import NestedKey
 from torchrl.objectives import ValueEstimators
 
 from izoo.algos.learners import base
 from izoo.algos.losses.empty_batch import has_no_agents, no_losses
 from izoo.algos.networks.masking import path_of, rows_of
+
+
+@dataclass
+class AgentKeys:
+    """The keys of agents; before the keys of TorchRL's loss among the bases, they take the place of its own."""
+
+    state_action_value: NestedKey = base.ACTION_VALUE
+    reward: NestedKey = base.REWARD
+    done: NestedKey = base.DONE
+    terminated: NestedKey = base.TERMINATED
+    mask: NestedKey = base.MASK
 
 
 class OnTransitions:

@@ -12,7 +12,7 @@ from tensordict.nn import NormalParamExtractor, TensorDictModule, TensorDictModu
 from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
-from izoo.algos.actions.action_modes import PointMass
+from izoo.algos.actions.action_modes import ActionSpace
 from izoo.algos.learners import base
 from izoo.algos.networks import compiled_mlp
 from izoo.algos.networks.censored_normal import CensoredNormal
@@ -22,37 +22,29 @@ _LOG_2, _HALF_LOG_2_PI = math.log(2.0), 0.5 * math.log(2.0 * math.pi)
 
 
 def normal_parameters(
-    last: nn.Linear,
-    low: float,
-    high: float,
-    initial_accel_mps2: float,
-    initial_spread: float,
-    point_mass: PointMass | None = None,
+    last: nn.Linear, space: ActionSpace, initial_accel_mps2: float | None, initial_spread: float
 ) -> NormalParamExtractor:
     """Return what turns a network's outputs, two for each number of an action, into median and spread before the tanh.
 
     Args:
         last: the network's last layer, with zero biases; its bias is set so that the untrained median is as wanted.
-        low, high: bounds of the action: an acceleration in m/s^2, or a share of the speed limit.
-        initial_accel_mps2: median action of the untrained policy.
+        space: of the actions; a point mass replaces the others, and the untrained median is then the action 0.
+        initial_accel_mps2: median action of the untrained policy; ``None``: the middle of the range.
         initial_spread: its standard deviation before the tanh.
-        point_mass: replaces the last two; the untrained median is then the action 0.
     """
-    if point_mass is not None:
-        return NormalParamExtractor(scale_mapping=f"biased_softplus_{point_mass.spread}", scale_lb=0.01)
-    check_range("algo.initial_accel_mps2", initial_accel_mps2, low + 1e-3, high - 1e-3, "m/s^2")
-    with torch.no_grad():
-        last.bias[: last.out_features // 2] = math.atanh((2.0 * initial_accel_mps2 - high - low) / (high - low))
+    if space.point_mass is not None:
+        return NormalParamExtractor(scale_mapping=f"biased_softplus_{space.point_mass.spread}", scale_lb=0.01)
+    if initial_accel_mps2 is not None:
+        check_range("algo.initial_accel_mps2", initial_accel_mps2, space.low + 1e-3, space.high - 1e-3, "m/s^2")
+        low, high = space.low, space.high
+        with torch.no_grad():
+            last.bias[: last.out_features // 2] = math.atanh((2.0 * initial_accel_mps2 - high - low) / (high - low))
     return NormalParamExtractor(scale_mapping=f"biased_softplus_{initial_spread}", scale_lb=0.01)
 
 
-def tanh_normal(
-    network: nn.Module, in_keys: Sequence[tuple[str, ...]], low: float, high: float, point_mass: PointMass | None = None
-) -> ProbabilisticActor:
-    """Return the policy over actions in ``[low, high]`` whose ``(loc, scale)`` ``network`` returns.
-
-    With ``point_mass``, the distribution has one at 0.
-    """
+def tanh_normal(network: nn.Module, in_keys: Sequence[tuple[str, ...]], space: ActionSpace) -> ProbabilisticActor:
+    """Return the policy over actions in ``space`` whose ``(loc, scale)`` ``network`` returns."""
+    point_mass = space.point_mass
     parameters = {"loc": base.LOC, "scale": base.SCALE}
     if point_mass is not None and point_mass.two_sided:
         parameters["two_sided"] = base.TWO_SIDED
@@ -61,9 +53,9 @@ def tanh_normal(
         in_keys=parameters,
         out_keys=[base.ACTION],
         distribution_class=TanhNormal if point_mass is None else CensoredNormal,
-        distribution_kwargs={"low": low, "high": high}
+        distribution_kwargs={"low": space.low, "high": space.high}
         if point_mass is None
-        else {"bound": high, "half_band": point_mass.half_band},
+        else {"bound": space.high, "half_band": point_mass.half_band},
         return_log_prob=True,
         log_prob_key=base.LOG_PROB,
     )
@@ -77,23 +69,19 @@ class SamplingPolicy(TensorDictModuleBase):
 
     Args:
         actor: whose network is shared.
-        low, high: bounds of the action.
-        point_mass: at the action 0; ``None``: there is none.
-        size: numbers of an action.
+        space: of the actions.
     """
 
     no_op_band = 0.0
     """Actions smaller than this count as 0."""
 
-    def __init__(
-        self, actor: ProbabilisticActor, low: float, high: float, point_mass: PointMass | None = None, size: int = 1
-    ) -> None:
+    def __init__(self, actor: ProbabilisticActor, space: ActionSpace) -> None:
         super().__init__()
-        self.in_keys, self.size = [base.OBSERVATION], size
-        self.half_band = -1.0 if point_mass is None else point_mass.half_band
+        self.in_keys, self.size = [base.OBSERVATION], space.size
+        self.half_band = -1.0 if space.point_mass is None else space.point_mass.half_band
         self.out_keys = [base.LOC, base.SCALE, base.ACTION, base.LOG_PROB]
         self.network = actor[0].module
-        self.bounds = (float(low), float(high))
+        self.bounds = (float(space.low), float(space.high))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write loc, scale, action ``[*B, A, D]`` and log-probability ``[*B, A]`` into ``tensordict``."""
@@ -154,10 +142,8 @@ class SamplingPolicy(TensorDictModuleBase):
 class CompiledPolicy(SamplingPolicy):
     """:class:`SamplingPolicy` of a fully connected network, compiled where it acts on the CPU without gradients."""
 
-    def __init__(
-        self, actor: ProbabilisticActor, low: float, high: float, point_mass: PointMass | None = None, size: int = 1
-    ) -> None:
-        super().__init__(actor, low, high, point_mass, size)
+    def __init__(self, actor: ProbabilisticActor, space: ActionSpace) -> None:
+        super().__init__(actor, space)
         self.arrays = compiled_mlp.Arrays(self.network)
         (extract,) = (module for module in self.network.modules() if isinstance(module, NormalParamExtractor))
         mapping = extract.scale_mapping

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from izoo.cli.option_command import GOES_ON, OptionCommand
 from izoo.errors import check_range, check_types
-from izoo.files import expanded
+from izoo.files import make_absolute
 
 TABLES_FILE = "tables.md"
 
@@ -59,18 +59,15 @@ class CampaignConfig:
         check_range("runs_at_once", self.runs_at_once, 1, 1024)
         if self.threads is not None:
             check_range("threads", self.threads, 1, 1024)
-        for name in ("out", "dataset", "cache"):
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, str(expanded(value).absolute()))
+        make_absolute(self, "out", "dataset", "cache")
 
 
-def run(config: CampaignConfig, given: frozenset[str] = frozenset()) -> Path:
+def run(config: CampaignConfig) -> Path:
     """Do what is missing, sum up, and return the campaign's folder."""
     print("Loading torch; the twin compiles where it has not yet.", flush=True)
     from izoo.benchmarks.campaign import summing_up
     from izoo.benchmarks.campaign.experiment import read_experiment
-    from izoo.benchmarks.campaign.jobs import Machine, PartRun, reads_folder
+    from izoo.benchmarks.campaign.jobs import PartRun, reads_folder
     from izoo.errors import unknown_choice
     from izoo.files import write_text
     from izoo.report.tables import FIRST_ROWS
@@ -80,13 +77,12 @@ def run(config: CampaignConfig, given: frozenset[str] = frozenset()) -> Path:
     for name in config.parts:
         if name not in experiment.parts:
             raise unknown_choice("parts", name, experiment.parts)
-    machine = Machine(config.dataset, config.threads, config.num_workers, config.runs_at_once, config.cache)
     runs, left_out = [], []
     for name in experiment.parts:
         if config.dataset is None and reads_folder(experiment.parts[name].task):
             left_out.append(f"Part {name} needs dataset=FOLDER, and is left out.")
         elif not config.parts or name in config.parts:
-            runs.append(PartRun(experiment, name, folder, machine))
+            runs.append(PartRun(experiment, name, folder, config))
     texts, said = [], []
     for each in runs:
         if config.play:

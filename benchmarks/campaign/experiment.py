@@ -20,8 +20,9 @@ from izoo.files import expanded, read_text
 from izoo.report.plots import UNTRAINED
 from izoo.zoo import catalog
 
-"""Ends the name of an entry that is played as its training begins."""
 SHIPPED = resources.files("izoo.benchmarks.campaign") / "experiments"
+FASTEST = next(name for name, simulator in SIMULATORS.items() if simulator.batched)
+"""What plays the tests where a part does not say so."""
 Kind = Literal["trained", "untrained", "scripted", "planner"]
 
 
@@ -81,7 +82,7 @@ class Part:
     seeds: int = 4
     contexts: int | None = None
     training_contexts: int = 0
-    simulators: tuple[str, ...] = ("twin",)
+    simulators: tuple[str, ...] = (FASTEST,)
     sumo_seeds: int | None = None
     trained_in: str | None = None
     adoption: float | None = None

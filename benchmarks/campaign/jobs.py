@@ -10,7 +10,7 @@ import functools
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import torch
 
@@ -42,26 +42,10 @@ from izoo.training import checkpoint, run_folder
 from izoo.training.option_checks import check_options
 from izoo.zoo import catalog
 
+if TYPE_CHECKING:
+    from izoo.benchmarks.campaign.__main__ import CampaignConfig
+
 ROLES = ("train", "validation", "test")
-
-
-@dataclasses.dataclass(frozen=True)
-class Machine:
-    """Where and how a campaign runs; nothing here changes its numbers.
-
-    Attributes:
-        dataset: folder of the measured intersections.
-        threads: of the twin.
-        num_workers: processes that play SUMO.
-        runs_at_once: training runs that learn at the same time.
-        cache: folder of the baselines' episodes; ``None``: the user's.
-    """
-
-    dataset: str | None = None
-    threads: int | None = None
-    num_workers: int = 2
-    runs_at_once: int = 1
-    cache: str | None = None
 
 
 class Job(NamedTuple):
@@ -83,13 +67,13 @@ class PartRun:
         experiment: which it is of.
         name: of the part.
         folder: of the campaign.
-        machine: how to run.
+        machine: the campaign's options, of which those count that say how to run.
 
     Raises:
         IzooError: the experiment names something that cannot be used.
     """
 
-    def __init__(self, experiment: Experiment, name: str, folder: Path, machine: Machine) -> None:
+    def __init__(self, experiment: Experiment, name: str, folder: Path, machine: CampaignConfig) -> None:
         self.name, self.folder, self.machine = name, folder / name, machine
         self.experiment = experiment
         self.part, self.entries = experiment.parts[name], experiment.entries_of(name)
@@ -164,13 +148,14 @@ class PartRun:
                     continue
                 if kind == "trained" and self.part.trained_in is None:
                     found.append(Job("train", name, seed))
-                simulators = ("twin",) if kind == "planner" else self.part.simulators
-                found += [Job("test", name, seed, each) for each in simulators if self._plays_in(each, seed)]
+                found += [Job("test", name, seed, each) for each in self._simulators(kind, seed)]
         return found
 
-    def _plays_in(self, simulator: str, seed: int) -> bool:
+    def _simulators(self, kind: str, seed: int) -> list[str]:
+        """Return what plays the tests of a training seed; the planner needs worlds that can be branched."""
+        able = [name for name in self.part.simulators if kind != "planner" or SIMULATORS[name].saves]
         most = self.part.sumo_seeds
-        return simulator != REFERENCE or most is None or seed < most
+        return [name for name in able if name != REFERENCE or most is None or seed < most]
 
     def missing(self) -> list[Job]:
         """Return the jobs whose frames or rows are not there."""

@@ -63,9 +63,9 @@ class ParallelRuns:
         """Whether the run of this name was begun."""
         return name in self._runs
 
-    def begin(self, name: Hashable, config: TrainConfig, given: frozenset[str], log: Path) -> None:
+    def begin(self, name: Hashable, config: TrainConfig, log: Path) -> None:
         """Begin :func:`izoo.training.loop.train` in a new process; what it says is added to the file ``log``."""
-        self._runs[name] = _Run(config, given, log, self._free.pop())
+        self._runs[name] = _Run(config, log, self._free.pop())
 
     def is_done(self, name: Hashable) -> bool:
         """Return whether a run has come to its end, and make room for others where some have.
@@ -89,12 +89,12 @@ class _Run(ChildProcess):
         ended: whether its end was noticed.
     """
 
-    def __init__(self, config: TrainConfig, given: frozenset[str], log: Path, cores: frozenset[int]) -> None:
+    def __init__(self, config: TrainConfig, log: Path, cores: frozenset[int]) -> None:
         self.cores, self.ended, self._log = cores, False, log
         log.parent.mkdir(parents=True, exist_ok=True)
         self._said_before = log.stat().st_size if log.exists() else 0
         with tempfile.TemporaryFile() as setup, log.open("ab") as output:
-            pickle.dump((config, given, cores), setup)
+            pickle.dump((config, cores), setup)
             setup.flush()
             place, file = f"{__name__}:worker_main", setup.fileno()
             super().__init__(place, file, inherited=(file,), output=output)
@@ -128,7 +128,7 @@ def worker_main(parent: int, setup: int) -> None:
         parent: descriptor of a socket, which closes when the parent is gone.
         setup: descriptor of a file with the options and the cores.
     """
-    config, given, cores = pickle.loads(os.pread(setup, os.fstat(setup).st_size, 0))
+    config, cores = pickle.loads(os.pread(setup, os.fstat(setup).st_size, 0))
     if cores:
         os.sched_setaffinity(0, cores)
 
@@ -137,7 +137,7 @@ def worker_main(parent: int, setup: int) -> None:
         end_with_parent(parent, lambda: os.kill(os.getpid(), signal.SIGTERM))  # which saves the run
         from izoo.training.loop import train  # once the cores are known, which PyTorch counts when it is loaded
 
-        train(config, given)
+        train(config)
         return 0
 
     sys.exit(exit_code(_COMMAND, work))

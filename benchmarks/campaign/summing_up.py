@@ -16,7 +16,6 @@ import pandas as pd
 from izoo.benchmarks.campaign.jobs import PartRun
 from izoo.benchmarks.planner import PLANNER
 from izoo.console import counted
-from izoo.cores import usable_cores
 from izoo.envs import SIMULATORS
 from izoo.files import write_json
 from izoo.metrics.figures import FIGURES
@@ -133,21 +132,25 @@ def headroom(table: pd.DataFrame) -> Table | None:
 
 
 def costs(folder: Path) -> Table:
-    """Return what training cost, a row per entry, mean over its runs."""
+    """Return what training cost, a row per entry, mean over its runs.
+
+    Core-hours are processor time, that of validations included; they are missing of runs that did not record it.
+    """
     rows = []
     for name, runs in _runs(folder).items():
-        spent = np.array([_spent(run) for run in runs])
-        decisions, simulated_h, core_h = spent.mean(0)
-        rows.append((name, len(runs), f"{decisions:,.0f}", f"{simulated_h:,.0f}", f"{core_h:.2f}"))
-    return Table.of("Cost of a training run", ("entry", "runs", "decisions", "simulated hours", "core-hours"), rows)
+        decisions, simulated_h, core_h = np.mean([_spent(run) for run in runs], axis=0)
+        shown = "-" if np.isnan(core_h) else f"{core_h:.2f}"
+        rows.append((name, len(runs), f"{decisions:,.0f}", f"{simulated_h:,.0f}", shown))
+    title = "Cost of a training run; core-hours are processor time while it trained"
+    return Table.of(title, ("entry", "runs", "decisions", "simulated hours", "core-hours"), rows)
 
 
 def _spent(run: Path) -> tuple[float, float, float]:
     config, table = run_folder.read_config(run), MetricsTable.read(run / run_folder.METRICS_FILE)
-    decisions, episodes, seconds = (table.series(name)[1] for name in ("agent_rows", "episodes", "seconds"))
-    cores = config.twin.threads or usable_cores() if SIMULATORS[config.simulator].batched else config.num_workers
-    hours = sum(episodes) * config.env.horizon_s / 3600.0
-    return sum(decisions), hours, max(seconds, default=0.0) * cores / 3600.0
+    decisions, episodes, worked_s = (table.series(name)[1] for name in ("agent_rows", "episodes", "processor_s"))
+    frames, _ = table.series("seconds")
+    simulated_h = max(episodes, default=0.0) * config.env.horizon_s / 3600.0
+    return sum(decisions) or max(frames), simulated_h, sum(worked_s) / 3600.0 if worked_s else np.nan
 
 
 def _runs(folder: Path) -> dict[str, list[Path]]:

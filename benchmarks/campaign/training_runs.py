@@ -10,7 +10,7 @@ from pathlib import Path
 
 from izoo.benchmarks.campaign.parallel_training import ParallelRuns
 from izoo.conf.mapping import to_mapping
-from izoo.conf.train_options import TrainConfig
+from izoo.conf.train_options import CHANGEABLE, TrainConfig
 from izoo.console import Progress, counted
 from izoo.report.report_data import TRAIN_FOLDER
 from izoo.results.store import check_same
@@ -24,7 +24,7 @@ LOG_SUFFIX = ".log"
 """Of the file beside a run's folder that takes what it says, where it does not learn in this process."""
 LOOK_EVERY_S = 1.0
 """How often runs in other processes are looked at."""
-NOT_THE_RUN = (*run_folder.CHANGEABLE, "run_dir", "start", "task")
+NOT_THE_RUN = (*CHANGEABLE, "run_dir", "start", "task")
 """Options in which a run that is there may differ from the one that is wanted."""
 
 
@@ -78,7 +78,7 @@ class TrainingRuns:
         Raises:
             KeyboardInterrupt: it was stopped.
         """
-        train(*self._begin(key))
+        train(self._begin(key))
         self._require_trained(key)
 
     def train_in_parallel(self, runs: ParallelRuns, keys: Sequence[Key]) -> None:
@@ -92,23 +92,23 @@ class TrainingRuns:
             while True:
                 for key in keys:
                     if runs.has_room and key not in runs:
-                        runs.begin(key, *self._begin(key), self.run_dir(key).with_suffix(LOG_SUFFIX))
+                        runs.begin(key, self._begin(key), self.run_dir(key).with_suffix(LOG_SUFFIX))
                 if runs.is_done(keys[0]):
                     break
                 bar.update(total - sum(map(self.left, keys)), counted(len(runs.going), "run"))
                 time.sleep(LOOK_EVERY_S)
         self._require_trained(keys[0])
 
-    def _begin(self, key: Key) -> tuple[TrainConfig, frozenset[str]]:
-        """Return the options of a run that begins or goes on, and the names of those that count when it goes on."""
-        run_dir = self.run_dir(key)
+    def _begin(self, key: Key) -> TrainConfig:
+        """Return the options of a run that begins or goes on."""
+        run_dir, wanted = self.run_dir(key), self.wanted[key]
         if self.frames(key):
-            resumed = dataclasses.replace(self.wanted[key], resume=str(run_dir))
-            return resumed, frozenset({"resume", "total_frames", "num_workers", "collector"})
+            own = {name: getattr(wanted, name) for name in ("total_frames", "num_workers", "collector")}
+            return dataclasses.replace(run_folder.resumed(run_dir), **own)
         if run_dir.is_dir():  # it ended before its first checkpoint; its process may outlive the campaign's
             with run_folder.owned(run_dir):
                 shutil.rmtree(run_dir, ignore_errors=True)
-        return self.wanted[key], frozenset()
+        return wanted
 
     def _require_trained(self, key: Key) -> None:
         """Raise :class:`KeyboardInterrupt` where a run, or a validation that it owes, was stopped."""

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import itertools
-import sys
 from collections.abc import Sequence
 
 from izoo.benchmarks.fidelity.single_vehicle import Case, first_departure, play_sumo, play_twin, waves
-from izoo.console import Progress
 from izoo.contexts.context import Context
-from izoo.results.rows_file import Row, RowsFile
+from izoo.results.rows_file import Key, Row, RowsFile
 from izoo.results.selection import EpisodeSeeds
 
 HORIZON_S = 300.0
@@ -31,17 +29,15 @@ def compare_few(contexts: Sequence[Context], seeds: EpisodeSeeds, step_s: float,
         (context.content_hash, seeds.of(context)[0], step_s, *kind): context
         for context, kind in itertools.product(contexts, PLAYS)
     }
-    there = {tuple(row[name] for name in KEY) for row in kept.rows}
-    todo = [key for key in plays if key not in there]
-    with Progress(len(todo), unit="episodes", file=sys.stderr) as bar:
-        for number, key in enumerate(todo, 1):
-            context, (_, seed, _, count, commanded) = plays[key], key
-            case = Case.of(context, seed, HORIZON_S, round(1000.0 * step_s)).first(count)
-            if len(case.traffic) == count:
-                steps = round(HORIZON_S / step_s)
-                sumo, twin = (play(case, steps, waves if commanded else None) for play in (play_sumo, play_twin))
-                found = first_departure(case, sumo, twin, TOLERANCE)
-                parted, where = (None, None) if found is None else (found.step, str(found))
-                kept.add([{**dict(zip(KEY, key, strict=True)), "parted": parted, "where": where}])
-            bar.update(number, context.name)
-    return [row for row in kept.rows if tuple(row[name] for name in KEY) in plays]
+
+    def compare(key: Key, context: Context) -> list[Row]:
+        _, seed, _, count, commanded = key
+        case = Case.of(context, seed, HORIZON_S, round(1000.0 * step_s)).first(count)
+        if len(case.traffic) < count:
+            return []
+        steps = round(HORIZON_S / step_s)
+        sumo, twin = (play(case, steps, waves if commanded else None) for play in (play_sumo, play_twin))
+        found = first_departure(case, sumo, twin, TOLERANCE)
+        return [{"parted": None if found is None else found.step, "where": None if found is None else str(found)}]
+
+    return kept.fill(KEY, plays, compare)

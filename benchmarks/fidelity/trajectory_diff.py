@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import sys
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from tensordict import TensorDictBase
 
-from izoo.benchmarks.fidelity.driving_statistics import COUNTS, DrivingStatistics
 from izoo.benchmarks.fidelity.single_vehicle import Departure
-from izoo.console import Progress
 from izoo.contexts.context import Context
 from izoo.envs import SIMULATORS, EcoDrivingEnv
 from izoo.envs.config import STEP, EnvConfig
@@ -22,35 +18,31 @@ from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 from izoo.results.playing import Policy, run_episode
 from izoo.results.policies import NamedPolicy
-from izoo.results.rows_file import Row, RowsFile
+from izoo.results.rows_file import Key, Row, RowsFile
 from izoo.results.selection import EpisodeSeeds
 
 TOLERANCE = 1e-3
 """Positions and speeds (m, m/s) that differ by no more are the same."""
 SPEED_EDGES_MPS, ACCEL_EDGES_MPS2 = np.arange(0.0, 40.1, 0.25), np.arange(-10.0, 5.05, 0.1)
 HISTOGRAMS = {"ks_speed": ("speed_mps", SPEED_EDGES_MPS), "ks_accel": ("accel_mps2", ACCEL_EDGES_MPS2)}
-COUNTED = tuple(f"{name}_{side}" for side in SIMULATORS for name in COUNTS)
-"""What is counted of drivers in an episode, on each side."""
 KEY = ("policy", "weights", "context_hash", "seed")
 TEXT = ("policy", "weights", "context_hash", "context", "demand", "where")
-NUMBERS = ("seed", "adoption", "lanes", "decisions", "parted", *HISTOGRAMS, *COUNTED)
+NUMBERS = ("seed", "adoption", "lanes", "decisions", "parted", *HISTOGRAMS)
 Places = dict[int, tuple[str, float, float]]
 """Lane, position (m) and speed (m/s) by vehicle."""
 
 
 class Watched:
-    """An episode on one simulator: where every vehicle is before each decision, and what drivers do.
+    """An episode on one simulator: where every vehicle is before each decision.
 
     Attributes:
         places: before each decision.
         histograms: counts of speeds and of accelerations of all vehicles and decisions.
-        driving: what drivers did; it is right where a decision lasts a step, since otherwise nobody sees when.
     """
 
     def __init__(self, env: EcoDrivingEnv, policy: Policy, context: Context, seed: int) -> None:
         self.places: list[Places] = []
         self.histograms = {name: np.zeros(len(edges) - 1) for name, (_, edges) in HISTOGRAMS.items()}
-        self.driving = DrivingStatistics()
 
         def act(state: TensorDictBase) -> TensorDictBase:
             self._add(env.scene())
@@ -62,7 +54,6 @@ class Watched:
         self.places.append(places(scene))
         for name, (column, edges) in HISTOGRAMS.items():
             self.histograms[name] += np.histogram(np.clip(scene.vehicles[column], edges[0], edges[-1]), edges)[0]
-        self.driving.add(scene)
 
 
 def places(scene: Scene) -> Places:
@@ -90,22 +81,16 @@ def compared(sumo: Watched, twin: Watched, hold_steps: int = 1) -> Row:
 
     Returns:
         ``decisions``, ``parted`` (the first step that differs; missing where none does), ``where`` (the vehicle that
-        differs there), ``ks_speed``, ``ks_accel``, and :data:`COUNTED`, missing where decisions last longer than a
-        step.
+        differs there), ``ks_speed`` and ``ks_accel``.
     """
     both = enumerate(zip(sumo.places, twin.places, strict=False))
     found = next((apart for k, pair in both if (apart := parting(k * hold_steps, *pair)) is not None), None)
-    row: Row = {
+    return {
         "decisions": min(len(sumo.places), len(twin.places)),
         "parted": None if found is None else found.step,
         "where": None if found is None else str(found),
         **{name: ks_distance(sumo.histograms[name], twin.histograms[name]) for name in HISTOGRAMS},
-        **dict.fromkeys(COUNTED),
     }
-    if hold_steps == 1:
-        for side, watched in (("sumo", sumo), ("twin", twin)):
-            row |= {f"{name}_{side}": count for name, count in watched.driving.counts().items()}
-    return row
 
 
 def compare_steps(
@@ -124,26 +109,24 @@ def compare_steps(
         if context.demand_approaches
         for each in policies
     }
-    there = {tuple(row[name] for name in KEY) for row in kept.rows}
-    todo = [key for key in plays if key not in there]
+
+    def compare(key: Key, play: tuple[NamedPolicy, Context]) -> list[Row]:
+        named, context = play
+        road = read_road(build_net(context.intersection))
+        about = {
+            "context": context.name,
+            "adoption": context.adoption,
+            "demand": "all" if context.approach is None else "one",
+            "lanes": max(int(road.lane_count[road.approaches.index(leg)]) for leg in context.demand_approaches),
+        }
+        sumo, twin = (Watched(each, named.policy, context, key[-1]) for each in environments)
+        return [about | compared(sumo, twin, env.hold_steps)]
+
     with contextlib.ExitStack() as stack:
-        bar = stack.enter_context(Progress(len(todo), unit="episodes", file=sys.stderr))
-        environments = [EcoDrivingEnv(config=env, simulator=name) for name in (SIMULATORS if todo else ())]
+        environments = [EcoDrivingEnv(config=env, simulator=name) for name in SIMULATORS]
         for each in environments:
             stack.callback(each.close)
-        for number, key in enumerate(todo, 1):
-            named, context = plays[key]
-            sumo, twin = (Watched(each, named.policy, context, key[-1]) for each in environments)
-            kept.add([{**dict(zip(KEY, key, strict=True)), **_about(context), **compared(sumo, twin, env.hold_steps)}])
-            bar.update(number, context.name)
-    return [row for row in kept.rows if tuple(row[name] for name in KEY) in plays]
-
-
-def _about(context: Context) -> dict[str, Any]:
-    road = read_road(build_net(context.intersection))
-    lanes = [int(road.lane_count[road.approaches.index(leg)]) for leg in context.demand_approaches]
-    demand = "all" if context.approach is None else "one"
-    return {"context": context.name, "adoption": context.adoption, "demand": demand, "lanes": max(lanes)}
+        return kept.fill(KEY, plays, compare)
 
 
 def ks_distance(one: np.ndarray, other: np.ndarray) -> float | None:

@@ -8,18 +8,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
-from izoo.benchmarks.fidelity.driving_statistics import COUNTS, rates
-from izoo.benchmarks.fidelity.trajectory_diff import COUNTED
-from izoo.envs import SIMULATORS
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
-from izoo.files import replacing
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import HUMAN
 from izoo.metrics.summary import summarise
 from izoo.report.tables import Table
 from izoo.results.rows_file import Row
+from izoo.training.plots import PALETTE, QUIET, Chart, Series, draw, save
 
 RELATIVE, ABSOLUTE = ("co2_g", "throughput"), ("delay_s",)
 """Figures that are compared per approach: by their relative difference, or by their difference."""
@@ -94,7 +90,6 @@ def by_group(table: pd.DataFrame, by: Sequence[str] = GROUP) -> pd.DataFrame:
                 "co2_mean_abs": float(co2.abs().mean()),
                 "co2_bias": float(co2.mean()),
                 "co2_median_abs": float(co2.abs().median()),
-                "co2_worst": float(co2.abs().max()),
                 "co2_wide": int((co2.abs() > WIDE).sum()),
                 "co2_beyond": int((co2.abs() - own.fillna(0.0) > WIDE).sum()),
                 "co2_own": float(own.mean()),
@@ -156,26 +151,6 @@ def few(rows: Sequence[Row]) -> pd.DataFrame:
     return groups["parted"].agg(episodes="size", same=lambda parted: int(parted.isna().sum())).reset_index()
 
 
-def driving(exact: pd.DataFrame) -> pd.DataFrame:
-    """Sum up what drivers did, a row per policy, demand and measure, with its value in SUMO and on the twin.
-
-    Measures are those of :func:`izoo.benchmarks.fidelity.driving_statistics.rates`, then
-    :data:`izoo.benchmarks.fidelity.driving_statistics.COUNTS`.
-
-    Args:
-        exact: rows of :func:`izoo.benchmarks.fidelity.trajectory_diff.compare_steps`; those without counts are left
-            out.
-    """
-    exact = exact.dropna(subset=list(COUNTED)) if len(exact) else exact
-    rows = []
-    for key, group in exact.groupby(["policy", "demand"], sort=False) if len(exact) else ():
-        about = dict(zip(("policy", "demand"), key, strict=True))
-        counts = {side: {name: float(group[f"{name}_{side}"].sum()) for name in COUNTS} for side in ("sumo", "twin")}
-        found = {side: rates(of) | of for side, of in counts.items()}
-        rows += [about | {"measure": name} | {side: found[side][name] for side in found} for name in found["sumo"]]
-    return pd.DataFrame(rows)
-
-
 def exactness(exact: pd.DataFrame) -> pd.DataFrame:
     """Sum up episodes that were compared step by step, a row per policy, demand and kind of approach.
 
@@ -196,23 +171,11 @@ def exactness(exact: pd.DataFrame) -> pd.DataFrame:
     return summed.assign(same=summed["episodes"] - summed["parted"]).reset_index()
 
 
-MEASURE_TITLES = {
-    "changes_needed": "lane changes, needed",
-    "changes_left": "to the left",
-    "changes_right": "to the right",
-    "passed": "vehicles that passed",
-    "permissive_lefts": "on a permissive left",
-    "passed_on_red": "on red",
-    "saturation_flow_vph": "saturation flow, veh/h",
-    "start_up_lag_s": "start-up lag, s",
-}
-"""Measures of :func:`driving` that are printed."""
 _ABOUT = "policy; CVs=adoption|.0%; demand; "
 COLUMNS = {
     "few": "vehicles; commanded; episodes; same",
     "exact": "policy; demand; lanes; n=episodes; same; parted at=median_parted|.0f; KS speed=ks_speed|.3f; "
     "accel.=ks_accel|.3f",
-    "driving": "policy; demand; measure; SUMO=sumo; twin",
     "co2": f"{_ABOUT}lanes; n=approaches; mean|d|=co2_mean_abs|.1%; median=co2_median_abs|.1%; bias=co2_bias|+.1%; "
     "> 5 %=co2_wide; beyond=co2_beyond",
     "delay": f"{_ABOUT}lanes; delay, s=delay_s|+.2f; crossed=crossed|+.1%",
@@ -240,23 +203,17 @@ def verdict(compared: pd.DataFrame, gained: pd.DataFrame) -> str:
 
 
 def tables(found: Mapping[str, pd.DataFrame]) -> list[Table]:
-    """Return what was found (``few``, ``exact``, ``driving``, ``groups``, ``own``, ``gains``) as tables, from the
+    """Return what was found (``few``, ``exact``, ``groups``, ``own``, ``gains``) as tables, from the
     closest look to the widest, those that hold anything.
     """
-    done = found["driving"]
-    if len(done):
-        done = done[done["measure"].isin(MEASURE_TITLES)]
-        sides = {side: done[side].map(lambda x: _written(x, ",.0f" if x > 100.0 else ",.4g")) for side in SIMULATORS}
-        done = done.assign(measure=done["measure"].map(MEASURE_TITLES), **sides)
     late = "SUMO with a late vehicle against SUMO"
     shown = [
         _table("1. One and two vehicles alone, to 1e-6", found["few"], "few"),
         _table("2. Every vehicle and step; distance of speeds and accelerations", found["exact"], "exact"),
-        _table("3. What drivers did, summed over episodes", done, "driving"),
-        _table("4. CO2 per vehicle, twin against SUMO", found["groups"], "co2"),
-        _table("4. Delay and vehicles, twin against SUMO", found["groups"], "delay"),
-        _table(f"4. CO2 per vehicle, {late}", found["own"], "co2"),
-        _table("5. CO2 saved over human driving, %", found["gains"], "gains"),
+        _table("3. CO2 per vehicle, twin against SUMO", found["groups"], "co2"),
+        _table("3. Delay and vehicles, twin against SUMO", found["groups"], "delay"),
+        _table(f"3. CO2 per vehicle, {late}", found["own"], "co2"),
+        _table("4. CO2 saved over human driving, %", found["gains"], "gains"),
     ]
     return [table for table in shown if table.rows]
 
@@ -277,20 +234,12 @@ def _written(value: Any, form: str) -> str:
 
 def plot(table: pd.DataFrame, path: Path, title: str) -> None:
     """Draw the CO2 of every approach on the twin against that in SUMO, a panel per policy."""
-    policies: Sequence[str] = list(table["policy"].unique())
-    figure = Figure(figsize=(3.6 * len(policies), 4.2), layout="constrained")
-    for axes, policy in zip(figure.subplots(1, len(policies), squeeze=False)[0], policies, strict=True):
-        group = table[table["policy"] == policy]
-        largest = 1.05 * float(np.nanmax(group[["co2_g_sumo", "co2_g_other"]].to_numpy(float), initial=1.0))
-        axes.fill_between([0, largest], [0, 0.95 * largest], [0, 1.05 * largest], color="#e2e8f0", label="within 5 %")
-        for one_lane, colour, label in ((True, "#2b6cb0", "one lane"), (False, "#c05621", "several lanes")):
-            chosen = group[(group["lane_count"] == 1) == one_lane]
-            axes.scatter(chosen["co2_g_sumo"], chosen["co2_g_other"], s=12, color=colour, alpha=0.7, label=label)
-        axes.set(xlim=(0, largest), ylim=(0, largest), title=policy, xlabel="SUMO: CO2 per vehicle (g)")
-        axes.set_aspect("equal")
-        axes.spines[["top", "right"]].set_visible(False)
-    figure.axes[0].set_ylabel("twin: CO2 per vehicle (g)")
-    figure.suptitle(title, fontsize=11)
-    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
-    with replacing(path) as partial:
-        figure.savefig(partial, dpi=150, format="png")
+    charts = []
+    for policy, group in table.groupby("policy", sort=False):
+        ends = np.array([0.0, np.nanmax(group[["co2_g_sumo", "co2_g_other"]].to_numpy(float), initial=1.0)])
+        marks = [Series(ends, ends, "", "band", 0.95 * ends, 1.05 * ends, QUIET)]
+        for several, (colour, name) in enumerate(zip(PALETTE, ("one lane", "several lanes"), strict=False)):
+            of = group[(group["lane_count"] > 1) == bool(several)]
+            marks.append(Series(of["co2_g_sumo"], of["co2_g_other"], name, "points", colour=colour))
+        charts.append(Chart("", str(policy), marks, "SUMO: CO2 per vehicle (g), 5 % shaded", "twin"))
+    save(draw(charts, title), path)

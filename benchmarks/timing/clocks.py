@@ -66,8 +66,8 @@ def _share_of_threads(backend: Any) -> Iterator[dict[int, float]]:
     if backend is None:
         yield shared
         return
-    crew = backend._crew
-    work = crew.work
+    pool = backend._pool
+    work = pool.work
 
     def counting(task: Callable[[int], None], *rest: Any) -> None:
         def clocked(thread: int) -> None:
@@ -77,8 +77,8 @@ def _share_of_threads(backend: Any) -> Iterator[dict[int, float]]:
 
         work(clocked, *rest)
 
-    crew.work = counting
+    pool.work = counting
     try:
         yield shared
     finally:
-        del crew.work
+        del pool.work

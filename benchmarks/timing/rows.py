@@ -9,6 +9,7 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from izoo.algos.learners.ppo import PPOConfig
 from izoo.benchmarks.timing.clocks import Timed, timed
 from izoo.conf.train_options import CollectorConfig, TrainConfig, TrainingTwinConfig
 from izoo.contexts.context import Context
-from izoo.contexts.procedural import ProceduralSource, procedural_context
+from izoo.contexts.procedural import EASY, ProceduralSource, procedural_context
 from izoo.contexts.source import episode_seed
 from izoo.envs import EcoDrivingEnv, EnvConfig, TwinEnv
 from izoo.envs.config import ACTION_HIGH_MPS2
@@ -28,6 +29,7 @@ from izoo.files import CACHE_ENV
 from izoo.training.collectors import BatchSource
 from izoo.training.learner import Learner, learner_device
 
+GROUPS = ("vehicles", "signal", "context", "metrics")
 VEHICLE_STEPS = EPISODE_METRICS.index("vehicle_steps")
 SEEDS = 16
 """Episodes that are played; environments beyond that play the same again."""
@@ -86,7 +88,7 @@ def one_on_sumo(context: Context, seconds: float) -> Row:
     """One environment on SUMO, stepped by hand, emitting all groups."""
     env = EcoDrivingEnv(Seeds(context), config=settings())
     with contextlib.closing(env):
-        return _stepped("SUMO, one environment", env, 1, seconds, None)
+        return _stepped("SUMO, one environment", env, env.reset(), seconds, None)
 
 
 def workers_on_sumo(context: Context, seconds: float, collector: str, workers: int) -> Row:
@@ -96,39 +98,40 @@ def workers_on_sumo(context: Context, seconds: float, collector: str, workers: i
     config = TrainConfig(
         algo=PPOConfig(frames_per_batch=workers * length), env=settings(emit=()), simulator="sumo", **options
     )
-    name = f"SUMO, {workers} workers, {collector}, policy"
+    name = f"SUMO, {workers} x {collector}"
     return _collected(name, config, context, workers, length, seconds)
 
 
-def stepping(context: Context, seconds: float, envs: int, threads: int, emit: tuple[str, ...], surrogate: str) -> Row:
-    """The twin, stepped by hand; every CV accelerates as fast as is safe."""
-    groups = "all groups" if emit else "no groups"
-    name = f"twin, {envs} environments, {_threads(threads)}, {groups}"
-    env = TwinEnv(envs, Seeds(context), config=settings(emit=emit), threads=threads, surrogate=surrogate)
-    with contextlib.closing(env):
-        return _stepped(name, env, envs, seconds, env.backend)
+def on_twin(context: Context, seconds: float, envs: int, threads: int, surrogate: str) -> list[Row]:
+    """The twin's backend alone, without anything that TorchRL sees; stepped, emitting no groups; and emitting all.
+
+    Every CV accelerates as fast as is safe.
+    """
+    name, rows = f"twin {envs} x {threads}", []
+    for emit in ((), GROUPS):
+        env = TwinEnv(envs, Seeds(context), config=settings(emit=emit), threads=threads, surrogate=surrogate)
+        with contextlib.closing(env):
+            state = env.reset()
+            if not emit:
+                rows.append(_alone(f"{name}, backend", env, seconds))
+            rows.append(_stepped(f"{name}, {'all' if emit else 'no'} groups", env, state, seconds, env.backend))
+    return rows
 
 
-def backend_alone(context: Context, seconds: float, envs: int, threads: int, surrogate: str) -> Row:
-    """The twin without anything that TorchRL sees: what stepping is measured by."""
-    config = settings(emit=())
-    env = TwinEnv(envs, Seeds(context), config=config, threads=threads, surrogate=surrogate)
-    with contextlib.closing(env):
-        env.reset()
-        env.frames["action"][:] = ACTION_HIGH_MPS2
-        played = env.backend.played
-        env.backend.played = None
-        for _ in range(SETTLING_STEPS):
-            env.backend.step()
-        found = timed(env.backend.step, seconds, env.backend)
-        env.backend.played = played
-    return Row(f"twin, {envs} environments, {_threads(threads)}, backend alone", envs / found.wall_s, timed=found)
+def _alone(name: str, env: TwinEnv, seconds: float) -> Row:
+    env.frames["action"][:] = ACTION_HIGH_MPS2
+    played, env.backend.played = env.backend.played, None
+    for _ in range(SETTLING_STEPS):
+        env.backend.step()
+    found = timed(env.backend.step, seconds, env.backend)
+    env.backend.played = played
+    return Row(name, env.backend.num_envs / found.wall_s, timed=found)
 
 
 def with_policy(context: Context, seconds: float, envs: int, threads: int, surrogate: str) -> Row:
     """The twin, batches collected as training does with an untrained PPO policy."""
     length = 20
-    name = f"twin, {envs} environments, {_threads(threads)}, policy"
+    name = f"twin {envs} x {threads}, policy"
     return _collected(name, _on_twin(envs, length, threads, surrogate), context, envs, length, seconds)
 
 
@@ -156,31 +159,34 @@ def training(context: Context, seconds: float, envs: int, threads: int, surrogat
     collect_s, update_s = (statistics.median(values[1:]) for values in parts.values())
     rate = envs * length / found.wall_s
     return Row(
-        f"training on the twin, {envs} environments, {_threads(threads)}, learner on {learner.device.type}",
+        f"training {envs} x {threads}, {learner.device.type}",
         rate,
         statistics.mean(agents[1:]) / found.wall_s,
-        note=f"collection {collect_s:.2f} s, update {update_s:.2f} s of a batch of {length} steps",
+        note=f"collection {collect_s:.2f} s, update {update_s:.2f} s for a batch of {length} steps",
     )
 
 
 def start(envs: int, threads: int, surrogate: str) -> Row:
     """The first reset of environments that all have other nets, none of which is in the cache."""
+    config = EnvConfig(emit=())
+    with contextlib.closing(TwinEnv(1, EASY, config=config, surrogate=surrogate)) as warm:
+        warm.reset()
     before = os.environ.get(CACHE_ENV)
-    held = _resident_mb()
+    held_mb = _resident_mb()
     with tempfile.TemporaryDirectory() as folder:
         os.environ[CACHE_ENV] = folder
         try:
-            env = TwinEnv(envs, ProceduralSource(), config=EnvConfig(emit=()), threads=threads, surrogate=surrogate)
+            env = TwinEnv(envs, ProceduralSource(), config=config, threads=threads, surrogate=surrogate)
             with contextlib.closing(env):
                 begin = time.perf_counter()
                 env.reset()
                 took_s = time.perf_counter() - begin
-                each_mb = (_resident_mb() - held) / envs
+                each_mb = (_resident_mb() - held_mb) / envs
         finally:
             os.environ.pop(CACHE_ENV)
             os.environ.update({} if before is None else {CACHE_ENV: before})
-    note = f"{took_s:.1f} s for {envs} new nets, {each_mb:.2f} MB each"
-    return Row(f"start of {envs} environments, {_threads(threads)}", envs / took_s, note=note)
+    note = f"{took_s:.1f} s for {envs} new nets, {each_mb:.2f} MB for each environment"
+    return Row(f"start {envs} x {threads}", envs / took_s, note=note)
 
 
 def emissions(seconds: float, batch: int = 4096) -> list[Row]:
@@ -205,17 +211,17 @@ def emissions(seconds: float, batch: int = 4096) -> list[Row]:
 
     calls: dict[str, Callable[[], None]] = {"torch": batched, "compiled": compiled}
     return [
-        Row(f"CO2 of {batch} vehicles, {name}", 0.0, note=f"{batch / timed(call, seconds / 2).wall_s:,.0f} vehicles/s")
+        Row(f"CO2, {name}", 0.0, note=f"{batch / timed(call, seconds / 2).wall_s:,.0f} vehicles/s, {batch} at a time")
         for name, call in calls.items()
     ]
 
 
-def _threads(threads: int) -> str:
-    return "1 thread" if threads == 1 else f"{threads} threads"
-
-
 def _resident_mb() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    """Return the memory that this process holds; where the system does not say so, the most that it ever held."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 def _on_twin(envs: int, length: int, threads: int, surrogate: str) -> TrainConfig:
@@ -228,8 +234,8 @@ def _on_twin(envs: int, length: int, threads: int, surrogate: str) -> TrainConfi
     )
 
 
-def _stepped(name: str, env: Any, envs: int, seconds: float, backend: Any) -> Row:
-    state = env.reset()
+def _stepped(name: str, env: Any, state: Any, seconds: float, backend: Any) -> Row:
+    envs = max(env.batch_size.numel(), 1)
     action = torch.full((*env.batch_size, env.config.num_agents, 1), ACTION_HIGH_MPS2)
     agents: list[float] = []
     mask, counted = env.frames["mask"], env.frames["episode_metrics"][:, VEHICLE_STEPS]

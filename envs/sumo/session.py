@@ -21,8 +21,8 @@ import numpy as np
 
 from izoo.envs.sumo.stderr_filter import StderrFilter
 from izoo.errors import IzooError
+from izoo.networks.net.netconvert import SUMO_VERSION
 
-SUMO_VERSION = "1.28.0"
 _CHECK_ALL = 31  # speed mode: safe speed, own acceleration and deceleration limits, right of way, red lights
 _INSTALL = f"pip install libsumo=={SUMO_VERSION} eclipse-sumo=={SUMO_VERSION}"
 

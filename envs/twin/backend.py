@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import itertools
 import weakref
 from bisect import bisect_right
@@ -25,9 +24,9 @@ from izoo.envs.twin.runtime.batch_step import conclude_all, drive_all, play_all
 from izoo.envs.twin.runtime.batched_emissions import GROUP, Emitter
 from izoo.envs.twin.runtime.episode_setup import Prepared, TwinRun, prepare
 from izoo.envs.twin.runtime.prefetch import PARTS_BYTES, no_ranges
-from izoo.envs.twin.runtime.preparers import Preparers
+from izoo.envs.twin.runtime.preparers import Preparers, fixed
 from izoo.envs.twin.runtime.scratch import Desk
-from izoo.envs.twin.runtime.thread_pool import Crew
+from izoo.envs.twin.runtime.thread_pool import ThreadPool
 from izoo.errors import IzooError, check_choice, check_whole
 from izoo.gpu import check_gpu
 from izoo.networks.clock import to_ms
@@ -90,11 +89,11 @@ class TwinBackend:
         self._ahead: dict[int, tuple[int, Future[Prepared]]] = {}
         self._expected = np.full(num_envs, -1)
         # Where several threads share the environments out, each does what torch does for its own share, alone.
-        self._crew = Crew(self.threads, _use_one_torch_thread)
+        self._pool = ThreadPool(self.threads, _use_one_torch_thread)
         # One core steps, and those that it leaves idle in between do not suffice for many.
         several = self.threads >= CORES_FOR_PROCESSES and num_envs >= ENVS_FOR_PROCESSES
         self._preparers = Preparers(config, self.threads - 1 if several else 0)
-        self._finalizer = weakref.finalize(self, _close, self._crew, self._preparers)
+        self._finalizer = weakref.finalize(self, _close, self._pool, self._preparers)
 
     @property
     def started(self) -> bool:
@@ -153,7 +152,7 @@ class TwinBackend:
         absent = {index: play for index, play in plays.items() if not self._is_ready(index, play.number)}
         if self._preparers.processes and len(absent) >= ENVS_FOR_PROCESSES:
             for index, play in absent.items():
-                self.expect(index, play.number, functools.partial(_same, play))
+                self.expect(index, play.number, fixed(play))
             return
         with contextlib.suppress(IzooError):  # raised again where that episode is prepared
             build_nets([play.context.intersection for play in absent.values()])
@@ -175,7 +174,7 @@ class TwinBackend:
         try:
             for index, play in plays.items():
                 # Prepared ahead, each will be there when it is begun.
-                self.expect(index, play.number, functools.partial(_same, play))
+                self.expect(index, play.number, fixed(play))
                 prepared = self._ahead[index][1].result()
                 TwinRun(self.config, row_of(frames, 0), self._weights, prepared, desk).unzip(packed[index])
         except IzooError:
@@ -279,7 +278,7 @@ class TwinBackend:
         With ``until_due``, so many at most: each plays on until one of its CVs is to decide.
         """
         like = self._run(0).episode.world
-        self._crew.work(lambda thread: self._play_share(thread, steps, until_due, like), meanwhile)
+        self._pool.work(lambda thread: self._play_share(thread, steps, until_due, like), meanwhile)
         self._left -= steps
 
     def _play_share(self, thread: int, steps: np.ndarray, until_due: bool, like: Any) -> None:
@@ -294,7 +293,7 @@ class TwinBackend:
 
     def share_out(self, task: Callable[[slice], object]) -> None:
         """Call ``task`` with each thread's share of the environments, all threads side by side."""
-        self._crew.work(lambda thread: task(self._shares[thread]))
+        self._pool.work(lambda thread: task(self._shares[thread]))
 
     def _drive_share(
         self, share: slice, steps: np.ndarray, until_due: bool, emitter: Emitter, ranges: np.ndarray, like: Any
@@ -337,18 +336,14 @@ class TwinBackend:
         self._runs[:] = [None] * self.num_envs
 
 
-def _same(play: Play) -> Play:
-    return play
-
-
 def _use_one_torch_thread() -> None:
     """Begin a thread of the pool: torch keeps the number of threads of each thread of Python by itself."""
     torch.set_num_threads(1)
 
 
-def _close(crew: Crew, preparers: Preparers) -> None:
+def _close(pool: ThreadPool, preparers: Preparers) -> None:
     preparers.close()
-    crew.close()
+    pool.close()
 
 
 def single(config: EnvConfig) -> tuple[dict[str, np.ndarray], TwinBackend]:

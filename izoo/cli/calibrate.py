@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from izoo import __version__
-from izoo.console import Progress, exit_code, unheard
+from izoo.cli.subcommands import SubcommandCommand, argument
+from izoo.console import Progress, unheard
 from izoo.contexts.population import read_population
 from izoo.errors import IzooError
 from izoo.files import os_reason, write_json
@@ -23,24 +24,23 @@ NOISY, MEMORY = -0.2, 0.3
 """Correlations of consecutive residuals: white noise in the speeds makes -0.5."""
 
 
-def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of ``calibrate``."""
-    parser.add_argument("files", type=Path, nargs="+", metavar="FILE", help="trajectories: CSV, or SUMO's XML")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="JSON", help="the population; pictures lie beside it"
-    )
-    parser.add_argument(
-        "--step-s", type=float, help="use steps of this length; default: 0.5 s where the file allows it"
-    )
-    parser.add_argument("--default-length-m", type=float, help="of all vehicles, where the file does not say it")
-    parser.add_argument("--heavy-from-m", type=float, default=6.5, help="longer vehicles are heavy; default: 6.5")
-    parser.add_argument("--max-drivers", type=int, default=200, help="of each class, drawn from more; default: 200")
-    parser.add_argument("--warmup", type=int, default=200, help="iterations per chain before it counts; default: 200")
-    parser.add_argument("--draws", type=int, default=400, help="iterations per chain that count; default: 400")
-    parser.add_argument("--chains", type=int, default=4, help="default: 4")
-    parser.add_argument("--seed", type=int, default=0, help="of the chains and of --max-drivers; default: 0")
+DRIVERS = SubcommandCommand("drivers", "Calibrate a population of human drivers on trajectories.")
+main = DRIVERS.main
 
 
+@DRIVERS.command(
+    "estimate the population that drivers in trajectories were drawn from",
+    argument("files", type=Path, nargs="+", metavar="FILE", help="trajectories: CSV, or SUMO's XML"),
+    argument("--out", type=Path, required=True, metavar="JSON", help="the population; pictures lie beside it"),
+    argument("--step-s", type=float, help="use steps of this length; default: 0.5 s where the file allows it"),
+    argument("--default-length-m", type=float, help="of all vehicles, where the file does not say it"),
+    argument("--heavy-from-m", type=float, default=6.5, help="longer vehicles are heavy; default: 6.5"),
+    argument("--max-drivers", type=int, default=200, help="of each class, drawn from more; default: 200"),
+    argument("--warmup", type=int, default=200, help="iterations per chain before it counts; default: 200"),
+    argument("--draws", type=int, default=400, help="iterations per chain that count; default: 400"),
+    argument("--chains", type=int, default=4, help="default: 4"),
+    argument("--seed", type=int, default=0, help="of the chains and of --max-drivers; default: 0"),
+)
 @unheard()
 def calibrate(options: argparse.Namespace) -> int:
     """Calibrate, print, draw and write; return 0, or 1 where the chains did not converge."""
@@ -157,14 +157,3 @@ def _remark(correlation: float) -> str:
 def _in_per_cent(progress: Progress) -> Callable[[float], None]:
     """Return what takes the share of the work that is done."""
     return lambda share: progress.update(round(100 * share))
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run a subcommand of ``python -m izoo.drivers`` and return the exit code: 0, 1, or 2 for input to mend."""
-    parser = argparse.ArgumentParser(
-        prog="python -m izoo.drivers", description="Calibrate a population of human drivers on trajectories."
-    )
-    commands = parser.add_subparsers(dest="command", required=True)
-    summary = "estimate the population that drivers in trajectories were drawn from"
-    calibrate_arguments(commands.add_parser("calibrate", help=summary, description=summary))
-    return exit_code("drivers", lambda: calibrate(parser.parse_args(argv)))

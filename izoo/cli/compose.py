@@ -1,4 +1,4 @@
-"""From words on a command line to a dataclass: Hydra reads and composes them, choices come from the dataclasses.
+"""From words on a command line to a dataclass: Hydra parses them, and choices come from the dataclasses.
 
 A group such as ``algo=ddpg`` takes the place of all its options; ``task=NAME`` changes the defaults of what belongs to
 a task; every other word changes one option.
@@ -7,12 +7,12 @@ a task; every other word changes one option.
 from __future__ import annotations
 
 import difflib
+import functools
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+import operator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
-from hydra import compose, initialize
-from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
@@ -27,6 +27,9 @@ from izoo.conf.quoting import quoted
 from izoo.errors import IzooError
 
 T = TypeVar("T")
+Defaults = Callable[[Mapping[str, Any]], Mapping[str, Any]]
+FOLDERS = ("run_dir", "out")
+"""Options that name a folder to write."""
 OF_THE_COMMAND = ("emit", "drain_s")
 """Settings of the environment that say what a command needs, whatever the task."""
 
@@ -64,13 +67,14 @@ def combinations(words: Sequence[str]) -> list[list[str]]:
     return [list(combination) for combination in itertools.product(*several)]
 
 
-def compose_config(cls: type[T], words: Sequence[str], defaults: Mapping[str, Any] | None = None) -> T:
+def compose_config(cls: type[T], words: Sequence[str], defaults: Defaults | None = None) -> T:
     """Compose ``option=value`` words into the dataclass ``cls``.
 
     Args:
         cls: options of a command.
         words: without sweeps.
-        defaults: options by group and name that differ from those of ``cls`` where they are not given.
+        defaults: given the written options by name, returns values by group and name, such as those of a run that is
+            resumed, for what is not written.
 
     Raises:
         IzooError: an option or choice is unknown, or a value is refused.
@@ -82,38 +86,41 @@ def compose_config(cls: type[T], words: Sequence[str], defaults: Mapping[str, An
             raise IzooError(
                 f"{word!r} gives several values; add -m to run once for each, or quote it: {key}=\"'...'\"."
             )
-    values: dict[str, Any] = to_mapping(cls())  # type: ignore[call-arg]
-    chosen = {override.key_or_group: str(override.value()) for override in overrides}
-    chosen = {key: name for key, name in chosen.items() if key in groups() and _holds(values, key)}
     named = {override.key_or_group: override.value() for override in overrides}
+    for name in FOLDERS:
+        if named.get(name) == "":
+            raise IzooError(f"{name} is empty; give a folder, such as {name}=results.")
+    values: dict[str, Any] = to_mapping(cls())  # type: ignore[call-arg]
+    chosen = {key: str(value) for key, value in named.items() if key in groups() and key in _paths(values)}
     if hasattr(cls, "role") and named.get("task") is not None:
-        _merge(values, _of_task(cls, tasks.make(str(named["task"])), values))
+        _merge(values, _of_task(cls, tasks.make(str(named["task"]))))
     if "algo" in chosen:
         _merge(values, registry.run_options(chosen["algo"]))
-    _merge(values, defaults or {})
+    _merge(values, {} if defaults is None else defaults(named))
     for group, name in chosen.items():
         choice = choose(group, name)
         *above, last = group.split(".")
-        node = values
-        for part in above:
-            node = node[part]
-        node[last] = to_mapping(choice)
+        functools.reduce(operator.getitem, above, values)[last] = to_mapping(choice)
         _merge(values, {"env": getattr(choice, "sets", {})} if "env" in values else {})
-    rest = [override for override in overrides if override.key_or_group not in chosen]
-    for override in rest:
-        _check_name(values, override.key_or_group)
-    return from_mapping(cls, _changed(values, [str(override.input_line) for override in rest]))
+    found = OmegaConf.create(values)
+    for key, value in named.items():
+        if key not in chosen:
+            if key not in _paths(values):
+                raise _unknown(key, [*_paths(values)])
+            OmegaConf.update(found, key, value, merge=False)
+    try:
+        return from_mapping(cls, OmegaConf.to_container(found, resolve=True))  # type: ignore[arg-type]
+    except OmegaConfBaseException as error:
+        raise IzooError(f"the options do not fit together: {str(error).splitlines()[0]}") from error
 
 
-def _of_task(cls: Any, task: tasks.Task, values: Mapping[str, Any]) -> dict[str, Any]:
+def _of_task(cls: Any, task: tasks.Task) -> dict[str, Any]:
     """Return what a task sets, of the options that a command has."""
     env = {name: value for name, value in to_mapping(task.env).items() if name not in OF_THE_COMMAND}
     found = {"contexts": getattr(task, cls.role), "env": env}
     if cls.role == "train":
-        found |= {"action": task.action, **task.training}
-    else:
-        found |= {"num_contexts": task.test_contexts, "seeds": task.test_episodes}
-    return found
+        return {**found, "action": task.action, **task.training}
+    return {**found, "num_contexts": task.test_contexts, "seeds": task.test_episodes}
 
 
 def _merge(values: dict[str, Any], changes: Mapping[str, Any]) -> None:
@@ -125,47 +132,22 @@ def _merge(values: dict[str, Any], changes: Mapping[str, Any]) -> None:
             values[name] = to_mapping(value)
 
 
-def _changed(values: Mapping[str, Any], words: Sequence[str]) -> dict[str, Any]:
-    """Let Hydra compose ``words`` onto ``values``."""
-    ConfigStore.instance().store(name="options", node=dict(values))
-    try:
-        with initialize(config_path=None, version_base="1.3"):
-            composed = compose(config_name="options", overrides=list(words))
-        return OmegaConf.to_container(composed, resolve=True)  # type: ignore[return-value]
-    except (HydraException, OmegaConfBaseException) as error:
-        raise IzooError(f"the options do not fit together: {str(error).splitlines()[0]}") from error
-
-
-def _holds(values: Mapping[str, Any], path: str) -> bool:
-    node: Any = values
-    for part in path.split("."):
-        if not isinstance(node, Mapping) or part not in node:
-            return False
-        node = node[part]
-    return True
-
-
-def _check_name(values: Mapping[str, Any], key: str) -> None:
-    """Raise :class:`IzooError` for an unknown option, naming the nearest, and choices that have it."""
-    if _holds(values, key):
-        return
+def _unknown(key: str, paths: Sequence[str]) -> IzooError:
+    """Return the error for an unknown option, which names the nearest, or the choices that have it."""
     above, _, last = key.rpartition(".")
-    everything = [*_paths(values)]
-    beside = [path for path in everything if path.rpartition(".")[0] == above] or [*values]
+    having = [f"{above}={name}" for name, make in groups().get(above, {}).items() if last in to_mapping(make())]
     initials = "".join(part[:1] for part in last.split("_"))  # of learning_rate
-    leaves = {path.rpartition(".")[2]: path for path in reversed(everything)}
-    near = difflib.get_close_matches(key, everything, n=1, cutoff=0.8)
-    near += [
-        leaves[name] for name in (last, initials, *difflib.get_close_matches(last, leaves, 1, 0.75)) if name in leaves
-    ]
+    leaves = {path.rpartition(".")[2]: path for path in reversed(paths)}
+    alike = (last, initials, *difflib.get_close_matches(last, leaves, 1, 0.75))
+    near = [*difflib.get_close_matches(key, paths, 1, 0.8), *(leaves[name] for name in alike if name in leaves)]
     hint = f" Did you mean {near[0]!r}?" if near else ""
-    if above in groups() and _holds(values, above):
-        having = [choice for choice, make in groups()[above].items() if last in to_mapping(make())]
-        hint = f" It is an option of {' and '.join(f'{above}={choice}' for choice in having)}." if having else hint
-    raise IzooError(f"unknown option {key!r}; choose one of: {', '.join(beside)}.{hint}")
+    hint = f" It is an option of {' and '.join(having)}." if having else hint
+    beside = [path for path in paths if path.rpartition(".")[0] == above] or [path for path in paths if "." not in path]
+    return IzooError(f"unknown option {key!r}; choose one of: {', '.join(beside)}.{hint}")
 
 
 def _paths(node: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    """Yield every option and group of options."""
     for name, value in node.items():
         yield f"{prefix}{name}"
         if isinstance(value, Mapping):

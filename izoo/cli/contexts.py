@@ -7,16 +7,31 @@ import contextlib
 import sys
 from pathlib import Path
 
-from izoo.cli.subcommands import Subcommand, SubcommandCommand
+from izoo.cli.subcommands import SubcommandCommand, argument
 from izoo.console import Progress, counted, plain, unheard
 from izoo.contexts import catalogue
-from izoo.contexts.cities.compare import compare_cities, format_distances, write_csv, write_png
+from izoo.contexts.cities.compare import compare_cities, format_distances
 from izoo.contexts.cities.plans import measure
 from izoo.contexts.cities.rebuilt import CITIES, SIZES, city_name
 from izoo.contexts.context import ENGINES, HOURS, SEASONS, Context
 from izoo.contexts.splits import SPLITS
 from izoo.errors import IzooError
 from izoo.networks.osm.driving_side import SIDES
+
+CONTEXTS = SubcommandCommand(
+    "contexts",
+    "Show, list and count scenarios; compare rebuilt cities with published statistics; import, build and draw "
+    "intersections.",
+)
+FILTERS = (
+    argument("--city", action="append", help="may be given several times, as all filters"),
+    argument("--season", action="append", choices=SEASONS),
+    argument("--hour", action="append", choices=HOURS),
+    argument("--engine", action="append", choices=ENGINES),
+    argument("--adoption", action="append", type=float, help="a share; default: the catalogue's five levels"),
+    argument("--split", choices=(*SPLITS, "all"), default="all"),
+    argument("--approaches", choices=catalogue.APPROACHES, default="all", help="one context per approach?"),
+)
 
 
 def describe_context(context: Context) -> str:
@@ -53,22 +68,9 @@ def describe_context(context: Context) -> str:
     return "\n".join(lines)
 
 
-def _show_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("id", type=int, help=f"0 to {catalogue.SIZE - 1}")
-
-
+@CONTEXTS.command("print one scenario", argument("id", type=int, help=f"0 to {catalogue.SIZE - 1}"))
 def _show(options: argparse.Namespace) -> None:
     print(describe_context(catalogue.get(options.id)))
-
-
-def _filter_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--city", action="append", help="may be given several times, as all filters")
-    parser.add_argument("--season", action="append", choices=SEASONS)
-    parser.add_argument("--hour", action="append", choices=HOURS)
-    parser.add_argument("--engine", action="append", choices=ENGINES)
-    parser.add_argument("--adoption", action="append", type=float, help="a share; default: the catalogue's five levels")
-    parser.add_argument("--split", choices=(*SPLITS, "all"), default="all")
-    parser.add_argument("--approaches", choices=catalogue.APPROACHES, default="all", help="one context per approach?")
 
 
 def _scenarios(options: argparse.Namespace) -> catalogue.Scenarios:
@@ -76,15 +78,11 @@ def _scenarios(options: argparse.Namespace) -> catalogue.Scenarios:
     return catalogue.Scenarios(**{name: getattr(options, name) for name in names})
 
 
-def _count(options: argparse.Namespace) -> None:
-    print(len(_scenarios(options)))
-
-
-def _list_arguments(parser: argparse.ArgumentParser) -> None:
-    _filter_arguments(parser)
-    parser.add_argument("--limit", type=int, default=20, help="lines to print; 0 prints all")
-
-
+@CONTEXTS.command(
+    "print the scenarios that pass a filter",
+    *FILTERS,
+    argument("--limit", type=int, default=20, help="lines to print; 0 prints all"),
+)
 def _list(options: argparse.Namespace) -> None:
     if options.limit < 0:
         raise IzooError(f"--limit is {options.limit}; give 0 (everything) or a positive number.")
@@ -101,22 +99,33 @@ def _list(options: argparse.Namespace) -> None:
         print(f"... {len(scenarios) - shown} more; --limit 0 prints all", file=sys.stderr)
 
 
-def _no_arguments(parser: argparse.ArgumentParser) -> None:
-    del parser
+@CONTEXTS.command("count the scenarios that pass a filter", *FILTERS)
+def _count(options: argparse.Namespace) -> None:
+    print(len(_scenarios(options)))
 
 
-def _cities(options: argparse.Namespace) -> None:
-    del options
+@CONTEXTS.command("print the ten cities")
+def _cities(_: argparse.Namespace) -> None:
     for city, size in SIZES.items():
         print(f"{city:20} {size:6} intersections {size * catalogue.PER_INTERSECTION:9} scenarios")
     print(f"{'all':20} {catalogue.INTERSECTIONS:6} intersections {catalogue.SIZE:9} scenarios")
 
 
-def _import_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("path", type=Path, help="a folder or zip archive of intersection folders")
-    parser.add_argument("target", type=Path, nargs="?", help="a new folder; default: datasets/NAME in this folder")
+@CONTEXTS.command(
+    "compare rebuilt cities with published statistics",
+    argument("--city", action="append", help="default: all ten"),
+)
+def _compare(options: argparse.Namespace) -> None:
+    tables = compare_cities([city_name(city) for city in options.city or CITIES])
+    print("total variation between rebuilt and published distributions, before the flow cap (target: at most 0.05)")
+    print(format_distances(tables))
 
 
+@CONTEXTS.command(
+    "check and import a downloaded dataset",
+    argument("path", type=Path, help="a folder or zip archive of intersection folders"),
+    argument("target", type=Path, nargs="?", help="a new folder; default: datasets/NAME in this folder"),
+)
 @unheard()
 def _import(options: argparse.Namespace) -> None:
     target = options.target or Path("datasets", options.path.resolve().stem)
@@ -136,22 +145,16 @@ def _import(options: argparse.Namespace) -> None:
     print(f"train on it: python -m izoo.train contexts=dataset contexts.path={plain(target)}")
 
 
-def _build_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--osm", type=Path, required=True, metavar="FILE", help="an extract, .osm or .osm.pbf")
-    parser.add_argument("--elevation", type=Path, metavar="TIF", help="heights in m; without it streets are level")
-    parser.add_argument("--aadt", type=Path, metavar="CSV", help="columns aadt (veh/day) and way (id) or name")
-    parser.add_argument(
-        "--signals", type=Path, metavar="JSON", help="signal plans by intersection; others are searched for"
-    )
-    parser.add_argument(
-        "--counts", type=Path, metavar="CSV", help="columns intersection, from, to (legs), vph at the peak"
-    )
-    parser.add_argument("--drives-on", choices=SIDES, help="the side of traffic; default: that of the country")
-    parser.add_argument(
-        "target", type=Path, help="a new folder, or an earlier build, which is replaced unless it was edited"
-    )
-
-
+@CONTEXTS.command(
+    "make intersections of an OpenStreetMap extract",
+    argument("--osm", type=Path, required=True, metavar="FILE", help="an extract, .osm or .osm.pbf"),
+    argument("--elevation", type=Path, metavar="TIF", help="heights in m; without it streets are level"),
+    argument("--aadt", type=Path, metavar="CSV", help="columns aadt (veh/day) and way (id) or name"),
+    argument("--signals", type=Path, metavar="JSON", help="signal plans by intersection; others are searched for"),
+    argument("--counts", type=Path, metavar="CSV", help="columns intersection, from, to (legs), vph at the peak"),
+    argument("--drives-on", choices=SIDES, help="the side of traffic; default: that of the country"),
+    argument("target", type=Path, help="a new folder, or an earlier build, which is replaced unless it was edited"),
+)
 @unheard()
 def _build(options: argparse.Namespace) -> None:
     print(f"reading {plain(options.osm)}", flush=True)
@@ -162,11 +165,11 @@ def _build(options: argparse.Namespace) -> None:
     print(f"train on it: python -m izoo.train contexts=osm contexts.path={plain(options.target)}")
 
 
-def _draw_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("what", help="a path (an intersection, or a folder of some), or an id, CITY or CITY/NUMBER")
-    parser.add_argument("png", type=Path, help="the picture to write")
-
-
+@CONTEXTS.command(
+    "draw an intersection, or the features of many",
+    argument("what", help="a path (an intersection, or a folder of some), or an id, CITY or CITY/NUMBER"),
+    argument("png", type=Path, help="the picture to write"),
+)
 @unheard()
 def _draw(options: argparse.Namespace) -> None:
     print(f"drawing {plain(options.what)}", flush=True)
@@ -175,31 +178,14 @@ def _draw(options: argparse.Namespace) -> None:
     print(f"wrote {plain(draw(options.what, options.png))}")
 
 
-def _compare_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--city", action="append", help="default: all ten")
-    parser.add_argument("--csv", type=Path, help="write the distances here")
-    parser.add_argument("--png", type=Path, help="draw the histograms here")
-
-
-@unheard()
-def _compare(options: argparse.Namespace) -> None:
-    tables = compare_cities([city_name(city) for city in options.city or CITIES])
-    print("total variation between rebuilt and published distributions, before the flow cap (target: at most 0.05)")
-    print(format_distances(tables))
-    if options.csv:
-        write_csv(tables, options.csv)
-    if options.png:
-        write_png(tables, options.png)
-
-
-def _try_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("path", type=Path, nargs="?", help="a folder of intersections; default: the built-in cities")
-    parser.add_argument("--city", action="append", help="instead of all ten; may be given several times")
-    parser.add_argument("--count", type=int, help="intersections to draw; default: 10 per city, or all of PATH")
-    parser.add_argument("--seed", type=int, default=0, help="of the draw")
-    parser.add_argument("--horizon-s", type=float, default=200.0, help="length of each episode in s")
-
-
+@CONTEXTS.command(
+    "build the nets of some intersections and play a short episode in each",
+    argument("path", type=Path, nargs="?", help="a folder of intersections; default: the built-in cities"),
+    argument("--city", action="append", help="instead of all ten; may be given several times"),
+    argument("--count", type=int, help="intersections to draw; default: 10 per city, or all of PATH"),
+    argument("--seed", type=int, default=0, help="of the draw"),
+    argument("--horizon-s", type=float, default=200.0, help="length of each episode in s"),
+)
 def _try(options: argparse.Namespace) -> None:
     if options.path is not None and options.city:
         raise IzooError("--city does not go with a path; leave one of them out.")
@@ -212,23 +198,3 @@ def _try(options: argparse.Namespace) -> None:
     if report.failures:
         tried = f"{counted(report.intersections, 'intersection')} and {counted(report.episodes, 'episode')}"
         raise IzooError(f"{counted(len(report.failures), 'failure')} in {tried}.")
-
-
-CONTEXTS = SubcommandCommand(
-    "contexts",
-    "Show, list and count scenarios; compare rebuilt cities with published statistics; import, build and draw "
-    "intersections.",
-    (
-        Subcommand("show", "print one scenario", _show_arguments, _show),
-        Subcommand("list", "print the scenarios that pass a filter", _list_arguments, _list),
-        Subcommand("count", "count the scenarios that pass a filter", _filter_arguments, _count),
-        Subcommand("cities", "print the ten cities", _no_arguments, _cities),
-        Subcommand("compare", "compare rebuilt cities with published statistics", _compare_arguments, _compare),
-        Subcommand("import", "check and import a downloaded dataset", _import_arguments, _import),
-        Subcommand("build", "make intersections of an OpenStreetMap extract", _build_arguments, _build),
-        Subcommand("draw", "draw an intersection, or the features of many", _draw_arguments, _draw),
-        Subcommand(
-            "try", "build the nets of some intersections and play a short episode in each", _try_arguments, _try
-        ),
-    ),
-)

@@ -18,7 +18,6 @@ from izoo.console import counted
 from izoo.contexts.context import Context
 from izoo.envs import REFERENCE, simulator_of
 from izoo.envs.config import EnvConfig
-from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.metrics.summary import summarise
 from izoo.report.leaderboard import write_entries
@@ -45,14 +44,8 @@ class Subject:
     train_seed: int = 0
 
 
-def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Path:
-    """Evaluate as ``config`` says, print the summary, and return the results folder.
-
-    Args:
-        config: the options.
-        given: the options that were written; what the others are instead, :func:`defaults` says.
-    """
-    del given
+def evaluate(config: EvaluateConfig) -> Path:
+    """Evaluate as ``config`` says, print the summary, and return the results folder."""
     subject = resolve(config)
     source = subject.contexts.build()
     if config.task is None:
@@ -63,7 +56,7 @@ def evaluate(config: EvaluateConfig, given: frozenset[str] = frozenset()) -> Pat
         seeds = EpisodeSeeds(tasks.TEST_SEED + config.seed, config.seeds)
     out = Path(config.out) if config.out else subject.folder / EVALUATIONS / _label(subject, config, contexts)
     where = f" on {simulator_of(config.simulator).label}"
-    what = f"contexts={subject.contexts.name}, {describe(contexts, seeds, subject.env)}"
+    what = f"{_task(config)}, {describe(contexts, seeds, subject.env)}"
     print(f"Evaluating {subject.name}{where}: {what}. Results: {out}", flush=True)
     size = len(source) if isinstance(source, Sized) else len(contexts)
     if size > len(contexts):
@@ -117,16 +110,7 @@ def resolve(config: EvaluateConfig) -> Subject:
     path = checkpoint.find(Path(config.run or ""), config.checkpoint)
     folder = checkpoint.run_of(path)
     algorithm, trained, state = run_folder.load_algorithm(path)
-    there, here = observation_names(trained.env), observation_names(config.env)
-    if there != here:
-        changed = [f"+{name}" for name in here if name not in there] + [
-            f"-{name}" for name in there if name not in here
-        ]
-        raise IzooError(
-            f"the run {folder} was trained on other observations than the env options describe "
-            f"({', '.join(changed) or 'another order'}); leave env.observed and env.neighbours out."
-        )
-    zoo.check_actions(f"the policy of {folder}", trained.env, config.env)
+    zoo.check_fits(f"the policy of {folder}", trained.env, config.env)
     run_folder.check_drivers(folder, trained, config.contexts)
     label = folder.name if [path] == checkpoint.listed(folder)[-1:] else f"{folder.name}-{path.stem}"
     record = PolicyRecord("trained", None, str(path), trained.algo.name, state["frames"])
@@ -139,7 +123,9 @@ def _task(config: EvaluateConfig) -> str:
     """Name what is tested: a task, and in what it was changed; or the contexts, their place and split."""
     contexts = config.contexts
     if config.task is None:
-        parts = [contexts.name, getattr(contexts, "city", None), getattr(contexts, "split", None)]
+        cities = getattr(contexts, "city", "")
+        place = "all ten" if cities is None else cities if isinstance(cities, str) else "+".join(cities)
+        parts = [contexts.name, place, getattr(contexts, "split", None)]
         return " ".join(str(part) for part in parts if part)
     task = tasks.make(config.task)
     whole = to_mapping(task.test)

@@ -9,8 +9,6 @@ import textwrap
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from omegaconf import OmegaConf
-
 from izoo import tasks
 from izoo.conf.choices import TAKES_OWN, groups
 from izoo.conf.mapping import to_mapping
@@ -22,14 +20,9 @@ if TYPE_CHECKING:
 HELP_WIDTH = 110
 
 
-def to_yaml(config: Any) -> str:
-    """Return a configuration dataclass as YAML."""
-    return OmegaConf.to_yaml(OmegaConf.create(to_mapping(config)))
-
-
-def help_text(command: OptionCommand, config: Any) -> str:
-    """Return the help page: usage, examples, choices, and every option of ``config`` with its value and meaning."""
-    place = f" {command.place.upper()}" if command.place else ""
+def overview(command: OptionCommand) -> str:
+    """Return the first part of a help page, which takes no PyTorch: usage, examples, choices and tasks."""
+    cls, place = command.config_class(), f" {command.place.upper()}" if command.place else ""
     lines = [command.summary, "", f"Usage: python -m izoo.{command.name}{place} [option=value ...]", "", "Examples:"]
     lines += [f"  python -m {example}" for example in command.examples]
     lines += [
@@ -38,14 +31,22 @@ def help_text(command: OptionCommand, config: Any) -> str:
         "  -m, --multirun  run once for each combination of comma-separated values, as in seed=0,1,2",
         "  --cfg           print the resolved options and stop; with -m, those of every combination",
     ]
-    chosen = {group: names for group, names in groups().items() if hasattr(config, group.partition(".")[0])}
+    own = {field.name for field in dataclasses.fields(cls)}
+    chosen = {group: names for group, names in groups().items() if group.partition(".")[0] in own}
     if chosen:
-        own = {group: " | module:name" if group in TAKES_OWN else "" for group in chosen}
-        lines += ["", "Choices:", *(f"  {group}={' | '.join(names)}{own[group]}" for group, names in chosen.items())]
-    if hasattr(config, "role"):
+        lines += ["", "Choices:"]
+        lines += [
+            f"  {group}={' | '.join([*names, *(['module:name'] if group in TAKES_OWN else [])])}"
+            for group, names in chosen.items()
+        ]
+    if hasattr(cls, "role"):
         lines += ["", "Tasks, or module:NAME; what is known to learn there in brackets:", *_tasks()]
-    lines += ["", "Options, with their defaults:", *_describe(config, "")]
     return "\n".join(lines)
+
+
+def options(config: Any) -> str:
+    """Return the second part: every option with its value and meaning."""
+    return "\n".join(["", "Options, with their defaults:", *_describe(config, "")])
 
 
 def _tasks() -> Iterator[str]:
@@ -69,12 +70,8 @@ def _describe(config: Any, prefix: str) -> Iterator[str]:
             yield f"  {prefix}{name}={written(to_mapping(value))}"
             yield from _wrapped(meanings.get(name, ""), 6, 6)
     for name, value in nested.items():
-        yield from ("", f"{prefix}{name}{_named(value)}:")
+        yield from ("", f"{prefix}{name}{f'={value.name}' if hasattr(value, 'name') else ''}:")
         yield from _describe(value, f"{prefix}{name}.")
-
-
-def _named(config: Any) -> str:
-    return f"={config.name}" if hasattr(config, "name") else ""
 
 
 def attribute_docs(owner: type) -> dict[str, str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from izoo import __version__
-from izoo.cli.subcommands import Subcommand, SubcommandCommand
+from izoo.cli.subcommands import SubcommandCommand, argument
 from izoo.console import plain, unheard
 from izoo.errors import IzooError
 from izoo.files import read_text, write_text
@@ -17,10 +17,11 @@ from izoo.files import read_text, write_text
 EXIT_MARKED = 1
 
 
-def _files(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("files", type=Path, nargs="+", help="leaderboard files, or folders that hold some (*.json)")
+LEADERBOARD = SubcommandCommand("leaderboard", "Check, merge, draw and tabulate leaderboard files.")
+FILES = argument("files", type=Path, nargs="+", help="leaderboard files, or folders that hold some (*.json)")
 
 
+@LEADERBOARD.command("say what is wrong with each file", FILES)
 def _validate(options: argparse.Namespace) -> int:
     """Say what is wrong with each file; return 1 where something was found to mark."""
     print(f"izoo {__version__} leaderboard", flush=True)
@@ -33,11 +34,11 @@ def _validate(options: argparse.Namespace) -> int:
     return EXIT_MARKED if any(entry.marks for entry in found) else 0
 
 
-def _merge_arguments(parser: argparse.ArgumentParser) -> None:
-    _files(parser)
-    parser.add_argument("--out", type=Path, default=Path("leaderboard.json"), help="the leaderboard's file")
-
-
+@LEADERBOARD.command(
+    "rank the files, by task",
+    FILES,
+    argument("--out", type=Path, default=Path("leaderboard.json"), help="the leaderboard's file"),
+)
 @unheard()
 def _merge(options: argparse.Namespace) -> None:
     from rich.console import Console
@@ -65,11 +66,11 @@ def _said(group: Mapping[str, Any]) -> list[str]:
     return [*marks, *([plain(group["summary"]["verdict"])] if group.get("summary") else [])]
 
 
-def _draw_arguments(parser: argparse.ArgumentParser) -> None:
-    _files(parser)
-    parser.add_argument("--out", type=Path, default=Path("leaderboard.png"), help="the picture's file, a PNG")
-
-
+@LEADERBOARD.command(
+    "draw what they saved, by task",
+    FILES,
+    argument("--out", type=Path, default=Path("leaderboard.png"), help="the picture's file, a PNG"),
+)
 @unheard()
 def _draw(options: argparse.Namespace) -> None:
     if options.out.suffix.lower() != ".png":
@@ -80,6 +81,7 @@ def _draw(options: argparse.Namespace) -> None:
     print(f"Picture: {options.out}", flush=True)
 
 
+@LEADERBOARD.command("print them as tables in Markdown", FILES)
 def _table(options: argparse.Namespace) -> None:
     """Print nothing but the tables in Markdown, so that they can be put where they belong."""
     from izoo.report import leaderboard
@@ -114,15 +116,3 @@ def _is_merged(path: Path) -> bool:
         return bool(json.loads(read_text(path))["format"].startswith("izoo-leaderboard-merged-"))
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return False
-
-
-LEADERBOARD = SubcommandCommand(
-    "leaderboard",
-    "Check, merge, draw and tabulate leaderboard files.",
-    (
-        Subcommand("validate", "say what is wrong with each file", _files, _validate),
-        Subcommand("merge", "rank the files, by task", _merge_arguments, _merge),
-        Subcommand("draw", "draw what they saved, by task", _draw_arguments, _draw),
-        Subcommand("table", "print them as tables in Markdown", _files, _table),
-    ),
-)

@@ -21,11 +21,10 @@ from izoo.console import exit_code, unheard
 from izoo.errors import IzooError, unknown_choice
 from izoo.files import usable_paths
 
-FLAGS = ("-h", "--help", "-m", "--multirun", "--cfg", "-v", "--version")
-SHOW = ("-h", "--help", "--cfg", "--version")
+LONG = {"-h": "--help", "-m": "--multirun"}
+FLAGS = ("--help", "--multirun", "--cfg", "--version")
+SHOW = {"-h", "--help", "--cfg", "--version"}
 """Flags whose text is all that a command is for."""
-FOLDERS = ("run_dir", "out")
-"""Options that no two runs of a sweep may share."""
 GOES_ON = "the same command goes on where it stopped"
 
 
@@ -38,9 +37,8 @@ class OptionCommand:
         summary: one sentence for ``--help``.
         examples: command lines for ``--help``, without ``python -m``.
         config: ``module:name`` of the dataclass of its options.
-        work: ``module:name`` of what is called with the options and the names of those that were written.
-        defaults: ``module:name`` of what is given the written options by name, and returns other defaults, by group and
-            name.
+        work: ``module:name`` of what is called with the options.
+        defaults: ``module:name`` of other defaults (:func:`izoo.cli.compose.compose_config`).
         place: an option that is given without its name, as in ``izoo.report FOLDER``.
         stopped: what to say after Ctrl-C besides that it was stopped, such as how to go on.
     """
@@ -56,14 +54,14 @@ class OptionCommand:
 
     def main(self, argv: Sequence[str] | None = None) -> int:
         """Run the command and return its exit code (:func:`izoo.console.exit_code`)."""
-        words = ["verbose=true" if word == "-v" else word for word in (sys.argv[1:] if argv is None else argv)]
+        words = sys.argv[1:] if argv is None else argv
         # Idle OpenMP threads would otherwise spin on the cores that the simulators need.
         os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
         os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL would announce every replay buffer
-        run = self._run if set(words) & set(SHOW) else unheard()(self._run)
+        run = self._run if SHOW & {*words} else unheard()(self._run)
         return exit_code(self.name, lambda: run(words), self.stopped)
 
-    def config_class(self) -> type:
+    def config_class(self) -> Any:
         """Import and return the dataclass of the options."""
         return pkgutil.resolve_name(self.config)
 
@@ -71,11 +69,7 @@ class OptionCommand:
         """Return the options that words, without flags and sweeps, stand for."""
         from izoo.cli.compose import compose_config
 
-        said = {name: value.strip("'\"") for name, _, value in (word.partition("=") for word in words)}
-        for name in FOLDERS:
-            if said.get(name) == "":
-                raise IzooError(f"{name} is empty; give a folder, such as {name}=results.")
-        defaults = None if self.defaults is None else pkgutil.resolve_name(self.defaults)(said)
+        defaults = None if self.defaults is None else pkgutil.resolve_name(self.defaults)
         return compose_config(self.config_class(), words, defaults)
 
     def named(self, words: Sequence[str]) -> list[str]:
@@ -98,24 +92,25 @@ class OptionCommand:
     def _run(self, words: Sequence[str]) -> int:
         print(f"izoo {__version__} {self.name}", flush=True)
         Path.cwd()  # PyTorch ends the process where the current folder has been removed
-        flags = {word for word in words if word.startswith("-")}
-        for flag in flags:
-            if flag not in FLAGS:
-                raise unknown_choice("flag", flag, FLAGS)
+        flags = {LONG.get(word, word) for word in words if word.startswith("-")}
+        options = [word for word in words if not word.startswith("-")]
+        if "-v" in flags and hasattr(self.config_class(), "verbose"):
+            flags.remove("-v")
+            options.append("verbose=true")
+        for flag in flags.difference(FLAGS):
+            raise unknown_choice("flag", flag, FLAGS)
         if "--version" in flags:
             return 0
-        options = [word for word in words if word not in flags]
-        if flags & {"-h", "--help"}:
-            from izoo.cli.help_page import help_text
+        if "--help" in flags:
+            from izoo.cli import help_page
 
-            print(help_text(self, self.compose(options)))
+            print(help_page.overview(self), flush=True)  # before PyTorch is loaded for an algorithm's options
+            print(help_page.options(self.compose(options)))
             return 0
-        options = self.named(options)
-        sweeps = bool(flags & {"-m", "--multirun"})
+        sweeps, options = "--multirun" in flags, self.named(options)
         configs = self._sweep(options) if sweeps else [self.compose(options)]
-        given = frozenset(word.partition("=")[0] for word in options)
         if "--cfg" in flags:
-            from izoo.cli.help_page import to_yaml
+            from izoo.conf.mapping import to_yaml
 
             print("---\n".join(map(to_yaml, configs)), end="")
             return 0
@@ -123,7 +118,7 @@ class OptionCommand:
         for number, config in enumerate(configs):
             if sweeps:
                 print(f"Run {number + 1} of {len(configs)}", flush=True)
-            work(config, given)
+            work(config)
         return 0
 
     def _sweep(self, words: Sequence[str]) -> list[Any]:
@@ -132,7 +127,7 @@ class OptionCommand:
         Raises:
             IzooError: options cannot be used, or runs would share a folder.
         """
-        from izoo.cli.compose import combinations
+        from izoo.cli.compose import FOLDERS, combinations
 
         configs = [self.compose(combination) for combination in combinations(words)]
         if not configs:

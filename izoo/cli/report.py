@@ -11,21 +11,16 @@ from izoo.files import expanded
 from izoo.report import page, sweeps
 
 
-def report(config: ReportConfig, given: frozenset[str] = frozenset()) -> Path:
+def report(config: ReportConfig) -> Path:
     """Write the page about a folder of results, or the table and the picture of a sweep; return the main file.
-
-    Args:
-        config: the options.
-        given: the options that were written.
 
     Raises:
         IzooError: options of the page are given for a sweep, which has none.
     """
     folder = expanded(str(config.results))
     if sweeps.is_sweep(folder):
-        names = [
-            field.name for field in dataclasses.fields(ReportConfig) if field.name in given - {"results", "imports"}
-        ]
+        other = dataclasses.replace(ReportConfig(), results=config.results, imports=config.imports)
+        names = [name for name, value in vars(config).items() if value != getattr(other, name)]
         if names:
             raise IzooError(
                 f"{folder} is the folder of a sweep, to which {', '.join(names)} cannot apply: its table is written to "

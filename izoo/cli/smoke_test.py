@@ -1,13 +1,9 @@
-"""Builds the nets of a sample of intersections, plays a short episode in each, and measures how long building takes."""
+"""Builds the nets of a sample of intersections, and plays two short episodes in each."""
 
 from __future__ import annotations
 
 import contextlib
 import math
-import os
-import statistics
-import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,46 +18,29 @@ from izoo.contexts.spec import IntersectionSpec
 from izoo.envs.config import EnvConfig
 from izoo.envs.env import EcoDrivingEnv
 from izoo.errors import IzooError, check_range
-from izoo.files import CACHE_ENV
 from izoo.networks.dataset.intersections import load_specs
-from izoo.networks.net.build import TOGETHER, build_net, build_nets
-from izoo.networks.road import read_road
-from izoo.results.playing import run_episode
+from izoo.networks.net.build import TOGETHER, build_nets
+from izoo.results.playing import Policy, run_episode
 
 PER_CITY = 10
 
 
 @dataclass
 class SmokeTestReport:
-    """What was found; times are in s: to build all nets, of each lookup and reading, and of each episode."""
+    """What was found: failures by the name of the intersection or the context."""
 
     intersections: int = 0
     episodes: int = 0
     crossed: float = 0.0
     gridlocked: int = 0
     failures: dict[str, str] = field(default_factory=dict)
-    build_s: float = 0.0
-    lookup_s: list[float] = field(default_factory=list)
-    read_s: list[float] = field(default_factory=list)
-    episode_s: list[float] = field(default_factory=list)
 
     def __str__(self) -> str:
         lines = [
             f"{self.intersections} intersections, {self.episodes} episodes, {len(self.failures)} failures; "
-            f"{self.crossed:.0f} vehicles crossed, {self.gridlocked} episodes in gridlock",
-            f"  nets built in {self.build_s:.2f} s",
+            f"{self.crossed:.0f} vehicles crossed, {self.gridlocked} episodes in gridlock"
         ]
-        for name, times in (
-            ("net found in the cache", self.lookup_s),
-            ("net read", self.read_s),
-            ("episode played", self.episode_s),
-        ):
-            if times:
-                lines.append(
-                    f"  {name}: median {1e3 * statistics.median(times):.1f} ms, longest {1e3 * max(times):.1f} ms"
-                )
-        lines += [f"  failed: {name}: {reason}" for name, reason in self.failures.items()]
-        return "\n".join(lines)
+        return "\n".join([*lines, *(f"  failed: {name}: {reason}" for name, reason in self.failures.items())])
 
 
 def choose(path: Path | None, names: Sequence[str] | None, count: int | None, seed: int) -> list[IntersectionSpec]:
@@ -94,30 +73,22 @@ def choose(path: Path | None, names: Sequence[str] | None, count: int | None, se
 
 
 def run(specs: Sequence[IntersectionSpec], horizon_s: float, seed: int, progress: bool = False) -> SmokeTestReport:
-    """Build the nets in an empty cache, and play two episodes in each: demand from all approaches, and from one.
+    """Build the nets, and play two episodes in each: demand from all approaches, and from one.
 
     A third of the vehicles are CVs that act at random. Failures are collected, not raised.
     """
     config = EnvConfig(horizon_s=horizon_s, emit=("metrics",))
     report = SmokeTestReport(intersections=len(specs))
     driver = make_driver("random", config)
-    before = os.environ.get(CACHE_ENV)
-    env = EcoDrivingEnv(config=config)
-    with tempfile.TemporaryDirectory(prefix="izoo-smoke-test-") as folder:
-        os.environ[CACHE_ENV] = folder
-        try:
-            for number, spec in enumerate(track(specs, "intersections", disable=not progress)):
-                if number % TOGETHER == 0:
-                    _build(specs[number : number + TOGETHER], report)
-                if _time_net(spec, report):
-                    for context in _contexts(spec, number):
-                        _play(env, driver, context, seed, report)
-        finally:
-            env.close(raise_if_closed=False)
-            if before is None:
-                del os.environ[CACHE_ENV]
-            else:
-                os.environ[CACHE_ENV] = before
+    with contextlib.ExitStack() as stack:
+        env = EcoDrivingEnv(config=config)
+        stack.callback(env.close, raise_if_closed=False)
+        for number, spec in enumerate(track(specs, "intersections", disable=not progress)):
+            if number % TOGETHER == 0:
+                with contextlib.suppress(IzooError):  # raised again where that net is played
+                    build_nets(specs[number : number + TOGETHER])
+            for context in _contexts(spec, number):
+                _play(env, driver, context, seed, report)
     return report
 
 
@@ -127,39 +98,13 @@ def _contexts(spec: IntersectionSpec, number: int) -> list[Context]:
     return [everywhere, *([Context(spec, approach=legs[number % len(legs)])] if legs else [])]
 
 
-def _build(specs: Sequence[IntersectionSpec], report: SmokeTestReport) -> None:
-    start = time.perf_counter()
-    with contextlib.suppress(IzooError):  # raised again where that net is looked up
-        build_nets(specs)
-    report.build_s += time.perf_counter() - start
-
-
-def _time_net(spec: IntersectionSpec, report: SmokeTestReport) -> bool:
-    """Look up and read a net; say whether that worked."""
-    try:
-        times = [time.perf_counter()]
-        net = build_net(spec)
-        times.append(time.perf_counter())
-        read_road(net)
-        times.append(time.perf_counter())
-    except IzooError as error:
-        report.failures[spec.name] = str(error)
-        return False
-    report.read_s.append(times[2] - times[1])
-    if spec.net_path is None:
-        report.lookup_s.append(times[1] - times[0])
-    return True
-
-
-def _play(env: EcoDrivingEnv, driver: object, context: Context, seed: int, report: SmokeTestReport) -> None:
+def _play(env: EcoDrivingEnv, driver: Policy, context: Context, seed: int, report: SmokeTestReport) -> None:
     report.episodes += 1
-    start = time.perf_counter()
     try:
-        rows = run_episode(env, driver, context, seed).rows  # type: ignore[arg-type]
+        rows = run_episode(env, driver, context, seed).rows
     except Exception as error:
         report.failures[context.name] = f"{type(error).__name__}: {error}"
         return
-    report.episode_s.append(time.perf_counter() - start)
     numbers = [value for row in rows for value in row.values() if isinstance(value, float)]
     if any(math.isnan(value) for value in numbers):
         report.failures[context.name] = "a number that it reports is missing"

@@ -9,6 +9,6 @@ from izoo.report.tables import print_summary
 from izoo.training import loop
 
 
-def train(config: TrainConfig, given: frozenset[str] = frozenset()) -> Path:
+def train(config: TrainConfig) -> Path:
     """Train as :func:`izoo.training.loop.train` does, and print the comparison that ends the run."""
-    return loop.train(config, given, print_summary)
+    return loop.train(config, print_summary)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from izoo import __version__
-from izoo.cli.subcommands import Subcommand, SubcommandCommand
+from izoo.cli.subcommands import SubcommandCommand, argument
 from izoo.conf.quoting import written
 from izoo.console import unheard
 from izoo.errors import IzooError
@@ -23,11 +23,11 @@ NOT_TOLD = (
 """Options of a run that have no part in what was learned."""
 
 
-def _no_arguments(parser: argparse.ArgumentParser) -> None:
-    """Nothing to say."""
+ZOO = SubcommandCommand("zoo", "Trained policies that ship with izoo.")
 
 
-def _list(options: argparse.Namespace) -> None:
+@ZOO.command("list the policies")
+def _list(_: argparse.Namespace) -> None:
     """Print each policy with the first sentence of its card."""
     for name in catalog.names():
         print(f"{name}: {_first_sentence(catalog.card(name))}")
@@ -39,21 +39,21 @@ def _first_sentence(card: str) -> str:
     return text if ". " not in text else text[: text.index(". ") + 1]
 
 
-def _show_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("name", help="one of python -m izoo.zoo list, with or without zoo: before it")
-
-
+@ZOO.command(
+    "print the card of a policy",
+    argument("name", help="one of python -m izoo.zoo list, with or without zoo: before it"),
+)
 def _show(options: argparse.Namespace) -> None:
     print(catalog.card(options.name.removeprefix(catalog.PREFIX)).strip(), flush=True)
 
 
-def _export_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("folder", type=Path, help="the folder of a training run")
-    parser.add_argument("--out", type=Path, required=True, help="the new file NAME.pt; its card NAME.md goes beside it")
-    parser.add_argument("--checkpoint", default="last", help="last, best, or a number of frames")
-    parser.add_argument("--evaluation", type=Path, help="a folder of izoo.evaluate, whose figures go on the card")
-
-
+@ZOO.command(
+    "write a run's policy as one file, with a card",
+    argument("folder", type=Path, help="the folder of a training run"),
+    argument("--out", type=Path, required=True, help="the new file NAME.pt; its card NAME.md goes beside it"),
+    argument("--checkpoint", default="last", help="last, best, or a number of frames"),
+    argument("--evaluation", type=Path, help="a folder of izoo.evaluate, whose figures go on the card"),
+)
 @unheard()
 def _export(options: argparse.Namespace) -> None:
     """Write the policy of a run as one file, and a card with what is known of it."""
@@ -128,14 +128,3 @@ def _figures(evaluation: Path | None) -> list[str]:
     from izoo.results.store import read_table
 
     return [markdown(summarise(read_table(evaluation))).rstrip()]
-
-
-ZOO = SubcommandCommand(
-    name="zoo",
-    summary="Trained policies that ship with izoo.",
-    subcommands=(
-        Subcommand("list", "list the policies", _no_arguments, _list),
-        Subcommand("show", "print the card of a policy", _show_arguments, _show),
-        Subcommand("export", "write a run's policy as one file, with a card", _export_arguments, _export),
-    ),
-)

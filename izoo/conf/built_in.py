@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from izoo.conf.own_traffic import check_traffic, with_own_traffic
+from izoo.conf.own_traffic import SourceConfig
 from izoo.contexts import catalogue
-from izoo.contexts.cities.rebuilt import city_name
 from izoo.contexts.source import ContextSource
-from izoo.errors import IzooError, check_range, check_types
+from izoo.errors import IzooError
 
 Season = Literal["winter", "spring", "summer", "fall"]
 Hour = Literal["peak", "off-peak"]
@@ -19,13 +18,12 @@ LAST_ID = catalogue.SIZE - 1
 
 
 @dataclass(frozen=True)
-class CityContexts:
+class CityContexts(SourceConfig):
     """Intersections of the built-in cities, which are rebuilt from published statistics.
 
     ``city``, ``season``, ``hour``, ``engine`` and ``adoption`` take one value, a list of values, or null for all.
 
     Attributes:
-        name: the source.
         city: one of the ten cities, for example ``atlanta``; ``python -m izoo.contexts cities`` lists them.
         season: season of the weather.
         hour: ``peak`` or ``off-peak``.
@@ -36,9 +34,6 @@ class CityContexts:
         weather: ``county``: by city and season; ``published``: the values of the paper's summer experiments
             (Salt Lake City and Atlanta).
         cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
-        drivers: a population that ``python -m izoo.drivers calibrate`` wrote, as a JSON file; null: the built-in one.
-        fleet: shares of passenger cars, passenger trucks, light commercial trucks and transit buses, with a sum of 1:
-            ``[0.7,0.2,0.06,0.04]``; null: those of MOVES for 2019.
     """
 
     name: Literal["city"] = "city"
@@ -51,74 +46,34 @@ class CityContexts:
     approaches: Literal["one", "all"] = "one"
     weather: Literal["county", "published"] = "county"
     cv_vehicle: Literal["paper", "human"] = "paper"
-    drivers: str | None = None
-    fleet: list[float] | None = None
 
-    def __post_init__(self) -> None:
-        check_types("contexts", self)
-        for city in [self.city] if isinstance(self.city, str) else self.city or []:
-            city_name(city)
-        for share in [self.adoption] if isinstance(self.adoption, float) else self.adoption or []:
-            check_range("contexts.adoption", share, 0.0, 1.0)
-        if self.weather == "published" and self.season not in ("summer", ["summer"]):
-            raise IzooError(
-                f"contexts.season is {self.season!r}, but contexts.weather=published is the weather of the paper's "
-                "summer; choose contexts.season=summer or contexts.weather=county."
-            )
-        check_traffic(self)
-
-    def build(self) -> ContextSource:
+    def source(self) -> ContextSource:
         """Return the scenarios, lazily; raises :class:`IzooError` where none is left."""
-        scenarios = catalogue.Scenarios(
-            city=self.city,
-            season=self.season,
-            hour=self.hour,
-            engine=self.engine,
-            adoption=self.adoption,
-            split=self.split,
-            approaches=self.approaches,
-            weather=self.weather,
-            cv_vehicle=self.cv_vehicle,
-        )
-        return with_own_traffic(scenarios, self)
+        own = {name: value for name, value in vars(self).items() if name not in vars(SourceConfig())}
+        return catalogue.Scenarios(**own)
 
 
 @dataclass(frozen=True)
-class CatalogueContexts:
+class CatalogueContexts(SourceConfig):
     """Scenarios of the catalogue by id.
 
     Attributes:
-        name: the source.
         ids: ids, and ranges of ids with both ends included: ``[17,100..199]``; ``python -m izoo.contexts list`` finds
             them, ``show ID`` prints one.
         cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
-        drivers: a population that ``python -m izoo.drivers calibrate`` wrote, as a JSON file; null: the built-in one.
-        fleet: shares of passenger cars, passenger trucks, light commercial trucks and transit buses, with a sum of 1:
-            ``[0.7,0.2,0.06,0.04]``; null: those of MOVES for 2019.
     """
 
     name: Literal["catalogue"] = "catalogue"
     ids: tuple[int | str, ...] = ()
     cv_vehicle: Literal["paper", "human"] = "paper"
-    drivers: str | None = None
-    fleet: list[float] | None = None
 
-    def __post_init__(self) -> None:
-        check_types("contexts", self)
-        self._ranges()
-        check_traffic(self)
-
-    def build(self) -> ContextSource:
+    def source(self) -> ContextSource:
         """Return the scenarios, lazily."""
-        ranges = self._ranges()
-        if not ranges:
+        if not self.ids:
             raise IzooError(
                 f"contexts.ids is empty; give ids from 0 to {catalogue.SIZE - 1}: contexts.ids=[17,100..199]."
             )
-        return with_own_traffic(catalogue.by_ids(ranges, self.cv_vehicle), self)
-
-    def _ranges(self) -> list[range]:
-        return [_range(item) for item in self.ids]
+        return catalogue.by_ids([_range(item) for item in self.ids], self.cv_vehicle)
 
 
 def _range(item: int | str) -> range:

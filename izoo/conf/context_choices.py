@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 from izoo.conf.built_in import CatalogueContexts, CityContexts
-from izoo.conf.folders import DatasetContexts, OsmContexts
-from izoo.conf.own_traffic import check_traffic, with_own_traffic
+from izoo.conf.folders import DatasetContexts, FolderContexts, OsmContexts
+from izoo.conf.own_traffic import SourceConfig
 from izoo.contexts.distributions import Box, Key, Uniform, Weighted, as_distribution
 from izoo.contexts.procedural import (
     DEFAULTS,
@@ -20,7 +20,7 @@ from izoo.contexts.procedural import (
     check_support,
 )
 from izoo.contexts.source import ContextList, ContextSource, MixedSource
-from izoo.errors import IzooError, check_choice, check_types
+from izoo.errors import IzooError, check_choice
 from izoo.imports import imported
 
 PRESETS = {
@@ -35,7 +35,7 @@ from value to probability, or null for the preset's."""
 
 
 @dataclass(frozen=True)
-class PcgContexts:
+class PcgContexts(SourceConfig):
     """Procedural contexts: four equal legs, drawn anew for every episode.
 
     Every feature is a number (``lane_count=2``), a list of equally likely values (``lane_count=[1,2]``), values with
@@ -43,7 +43,6 @@ class PcgContexts:
     preset says.
 
     Attributes:
-        name: the source.
         preset: ``systematicity_train`` (the protocol's training box), ``systematicity_test`` (its test box),
             ``systematicity_grid`` (the 128 contexts at the ends of the test box's intervals) or ``easy`` (one fixed
             context with one lane and light traffic).
@@ -61,9 +60,6 @@ class PcgContexts:
         humidity_pct: relative humidity.
         engine: of controlled vehicles, ``combustion`` or ``electric``.
         cv_vehicle: ``paper`` or ``human`` parameters of uncommanded controlled vehicles.
-        drivers: a population that ``python -m izoo.drivers calibrate`` wrote, as a JSON file; null: the built-in one.
-        fleet: shares of passenger cars, passenger trucks, light commercial trucks and transit buses, with a sum of 1:
-            ``[0.7,0.2,0.06,0.04]``; null: those of MOVES for 2019.
         approach: the leg that demand enters from, A to D, or ``all``.
         exclude: boxes that no context lies in, each with one or more features, of which it holds a value, some values
             or an interval: ``[{lane_count:[2,3],green_s:26..29},{inflow_vph_per_lane:400..500}]``; null keeps the
@@ -86,17 +82,10 @@ class PcgContexts:
     humidity_pct: Setting = None
     engine: Setting = None
     cv_vehicle: Setting = None
-    drivers: str | None = None
-    fleet: list[float] | None = None
     approach: Setting = None
     exclude: list[dict] | None = None
 
-    def __post_init__(self) -> None:
-        check_types("contexts", self)
-        check_choice("contexts.preset", self.preset, PRESETS)
-        check_traffic(self)
-
-    def build(self) -> ContextSource:
+    def source(self) -> ContextSource:
         """Return the source; raises :class:`IzooError` for settings outside their legal range."""
         base = PRESETS[self.preset].product
         changes: dict[Key, Any] = {
@@ -114,8 +103,7 @@ class PcgContexts:
         missing: dict[Key, Any] = {name: value for name, value in fixed.items() if name not in known}
         features: dict[Key, Any] = {**missing, **base.features, **changes}
         source = ProceduralSource(features, boxes)
-        whole = source.interval_ends() if self.preset == "systematicity_grid" else source
-        return with_own_traffic(whole, self)
+        return source.interval_ends() if self.preset == "systematicity_grid" else source
 
 
 SingleContextsConfig: TypeAlias = PcgContexts | CityContexts | CatalogueContexts | DatasetContexts | OsmContexts
@@ -142,7 +130,7 @@ class MixedContexts:
                 "[{name:dataset,path:DIR,split:train},{name:city,city:atlanta,split:train}]."
             )
         for source in self.sources:
-            if isinstance(source, (DatasetContexts, OsmContexts)):
+            if isinstance(source, FolderContexts):
                 source.check()
 
     def build(self) -> ContextSource:
@@ -181,26 +169,17 @@ def _setting(name: str, value: Any) -> Any:
     """Read ``low..high`` as an interval and a mapping as weights; whole numbers become integers, as counts need."""
     if isinstance(value, list):
         return [_setting(name, item) for item in value]
-    if isinstance(value, Mapping):
-        return _weights(name, value)
-    if isinstance(value, str) and ".." in value:
-        low, high = _interval(name, value)
-        try:
-            return Uniform(low, high)
-        except IzooError as error:
-            raise IzooError(f"contexts.{name}: {error}") from error
-    if isinstance(value, float) and value.is_integer():
-        return int(value)
-    return value
-
-
-def _weights(name: str, value: Mapping[Any, Any]) -> Weighted:
-    if not all(isinstance(share, (int, float)) for share in value.values()):
-        raise IzooError(f"contexts.{name} is {dict(value)}; give each value its probability, like {{1:0.25,2:0.75}}.")
     try:
-        return Weighted(tuple(_number(key) for key in value), tuple(value.values()))
-    except IzooError as error:
-        raise IzooError(f"contexts.{name}: {error}") from error
+        if isinstance(value, Mapping):
+            return Weighted(tuple(map(_number, value)), tuple(value.values()))
+        if isinstance(value, str) and ".." in value:
+            return Uniform(*map(float, value.split("..")))
+    except (TypeError, ValueError) as error:
+        remedy = (
+            "Write an interval as low..high, like 20..32, and weights as {value:probability}, like {1:0.25,2:0.75}."
+        )
+        raise IzooError(f"contexts.{name}: {str(error).rstrip('.')}. {remedy}") from error
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def _number(value: Any) -> Any:
@@ -210,14 +189,6 @@ def _number(value: Any) -> Any:
     except ValueError:
         return value
     return int(number) if number.is_integer() else number
-
-
-def _interval(name: str, value: str) -> tuple[float, float]:
-    try:
-        low, high = (float(end) for end in value.split(".."))
-    except ValueError:
-        raise IzooError(f"contexts.{name} is {value!r}; an interval is written low..high, like 20..32.") from None
-    return low, high
 
 
 def _box(sides: Mapping[str, Any]) -> Box:

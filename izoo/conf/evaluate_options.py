@@ -12,7 +12,7 @@ from izoo.conf.context_choices import ContextsConfig
 from izoo.envs import REFERENCE, simulator_of
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, check_choice, check_range, check_types
-from izoo.files import expanded
+from izoo.files import make_absolute
 
 DRAIN_S = 600.0
 """How long evaluated episodes are played out after their horizon, at most."""
@@ -80,10 +80,7 @@ class EvaluateConfig:
             )
         if self.policy is not None:
             check_policy("policy", self.policy)
-        for name in ("run", "out", "cache"):
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, str(expanded(value).absolute()))
+        make_absolute(self, "run", "out", "cache")
 
 
 def check_episodes(config: Any) -> None:

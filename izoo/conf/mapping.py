@@ -10,8 +10,10 @@ import dataclasses
 import math
 import types
 import typing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
+
+from omegaconf import OmegaConf
 
 from izoo.algos.learners.registry import AlgoConfig, options_class
 from izoo.errors import IzooError, plain_number, unknown_choice
@@ -48,26 +50,9 @@ def to_mapping(config: Any) -> Any:
     return config
 
 
-def with_given(base: T, chosen: T, given: Iterable[str], group: str = "") -> T:
-    """Return the options ``base`` with those of ``chosen`` that were written on the command line.
-
-    Args:
-        base, chosen: the same dataclass.
-        given: paths of the options that were written.
-        group: what this group of options is called, as ``env``; empty: they are all options.
-    """
-    merged, prefix = base, f"{group}." if group else ""
-    # A group comes before its options.
-    for path in sorted(name.removeprefix(prefix).split(".") for name in given if name.startswith(prefix)):
-        merged = _with_option(merged, chosen, path)
-    return merged
-
-
-def _with_option(base: Any, chosen: Any, path: Sequence[str]) -> Any:
-    """Return the dataclass ``base`` with the option at ``path`` taken from ``chosen``."""
-    name, *rest = path
-    value = getattr(chosen, name)
-    return dataclasses.replace(base, **{name: _with_option(getattr(base, name), value, rest) if rest else value})
+def to_yaml(config: Any) -> str:
+    """Return ``config`` as YAML."""
+    return OmegaConf.to_yaml(OmegaConf.create(to_mapping(config)))
 
 
 def field_types(cls: Any) -> dict[str, Any]:

@@ -2,39 +2,58 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from izoo.contexts.context import checked_fleet
 from izoo.contexts.population import read_population
 from izoo.contexts.source import ContextSource, with_changes
-from izoo.errors import IzooError
-from izoo.files import expanded
+from izoo.errors import IzooError, check_types
+from izoo.files import make_absolute
 
 
-def check_traffic(config: Any) -> None:
-    """Check the fleet, and make the path of the drivers absolute, so that a run can be resumed from another folder."""
-    try:
-        if config.fleet is not None:
-            checked_fleet(config.fleet)
-    except IzooError as error:
-        raise IzooError(f"contexts.fleet: {error}") from None
-    if config.drivers is not None:
-        object.__setattr__(config, "drivers", str(expanded(config.drivers).absolute()))
+@dataclass(frozen=True)
+class SourceConfig:
+    """A choice of contexts.
+
+    Attributes:
+        name: the source.
+        drivers: a population that ``python -m izoo.drivers calibrate`` wrote, as a JSON file; null: the built-in one.
+        fleet: shares of passenger cars, passenger trucks, light commercial trucks and transit buses, with a sum of 1:
+            ``[0.7,0.2,0.06,0.04]``; null: those of MOVES for 2019.
+    """
+
+    name: str = ""
+    drivers: str | None = None
+    fleet: list[float] | None = None
+
+    def __post_init__(self) -> None:
+        check_types("contexts", self)
+        try:
+            if self.fleet is not None:
+                checked_fleet(self.fleet)
+        except IzooError as error:
+            raise IzooError(f"contexts.fleet: {error}") from None
+        make_absolute(self, "drivers")
+
+    def build(self) -> ContextSource:
+        """Return the contexts; raises :class:`IzooError` where an option or a file cannot be used."""
+        source = self.source()
+        changes: dict[str, Any] = {} if self.fleet is None else {"fleet": checked_fleet(self.fleet)}
+        if self.drivers is not None:
+            try:
+                changes["drivers"] = read_population(self.drivers)
+            except IzooError as error:
+                raise IzooError(f"contexts.drivers: {error}") from None
+        return with_changes(source, changes) if changes else source
+
+    def source(self) -> ContextSource:
+        """Return the contexts with the built-in drivers and fleet."""
+        raise NotImplementedError
 
 
 def driver_files(config: Any) -> list[Path]:
     """Return the files of drivers that a choice of contexts names, once each; a mixture may name several."""
     named = (getattr(each, "drivers", None) for each in (config, *getattr(config, "sources", ())))
     return list(dict.fromkeys(Path(path) for path in named if path is not None))
-
-
-def with_own_traffic(source: ContextSource, config: Any) -> ContextSource:
-    """Return the source with the drivers and the fleet that a choice of contexts names; without any, as it is."""
-    changes: dict[str, Any] = {} if config.fleet is None else {"fleet": checked_fleet(config.fleet)}
-    if config.drivers is not None:
-        try:
-            changes["drivers"] = read_population(config.drivers)
-        except IzooError as error:
-            raise IzooError(f"contexts.drivers: {error}") from None
-    return with_changes(source, changes) if changes else source

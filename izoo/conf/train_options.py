@@ -12,13 +12,18 @@ from izoo.algos.learners.registry import AlgoConfig, preset
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.envs import REFERENCE, simulator_of
-from izoo.envs.config import BEFORE_AND_BEHIND, SPEED, STEP, EnvConfig
+from izoo.envs.config import SPEED, STEP, EnvConfig
 from izoo.errors import IzooError, check_range, check_types
-from izoo.files import expanded
+from izoo.files import make_absolute
 
 TWIN_ENVS = 64
 """Environments on the twin where nothing is said."""
 MAX_ENVS = 65536
+CHANGEABLE = (
+    *("total_frames", "num_workers", "num_envs", "twin", "device", "collector"),
+    *("logger", "validation", "evaluation", "checkpoint", "resume"),
+)
+"""Options that may differ when a run is resumed; the others are part of what the run is."""
 
 
 @dataclass(frozen=True)
@@ -191,13 +196,49 @@ class BriefEvaluationConfig:
         check_range("evaluation.seeds", self.seeds, 1, 10**6)
 
 
+@dataclass(frozen=True)
+class RolloutConfig:
+    """Where environments are stepped, and how many.
+
+    Attributes:
+        simulator: ``sumo``, or ``twin``, its compiled copy: many environments in this process.
+        seed: base seed: episodes, drivers, network weights, exploration.
+        num_workers: environments on SUMO, each in a process of its own.
+        num_envs: environments on the twin; null: 64.
+    """
+
+    simulator: str = REFERENCE
+    seed: int = 0
+    num_workers: int = 2
+    num_envs: int | None = None
+
+    def __post_init__(self) -> None:
+        check_types("", self)
+        check_range("seed", self.seed, 0, 2**31 - 1)
+        check_range("num_workers", self.num_workers, 1, 1024)
+        chosen = simulator_of(self.simulator)
+        if self.num_envs is None:
+            return
+        check_range("num_envs", self.num_envs, 1, MAX_ENVS)
+        if not chosen.batched:
+            raise IzooError(
+                f"num_envs is {self.num_envs}, but on {chosen.label} every environment is a process: set num_workers, "
+                "or choose simulator=twin."
+            )
+
+    @property
+    def environments(self) -> int:
+        """How many environments are stepped side by side."""
+        return self.num_workers if not simulator_of(self.simulator).batched else self.num_envs or TWIN_ENVS
+
+
 def training_env() -> EnvConfig:
     """Return the environment that training uses: learners need the agents alone, and fewer leaves are faster."""
     return EnvConfig(emit=())
 
 
 @dataclass(frozen=True)
-class TrainConfig:
+class TrainConfig(RolloutConfig):
     """Options of a training run.
 
     Attributes:
@@ -218,10 +259,8 @@ class TrainConfig:
         simulator: ``sumo``, or ``twin``, its compiled copy: many environments in this process. The comparison that ends
             the run is on SUMO either way.
         twin: how the twin runs.
-        seed: base seed: episodes, drivers, network weights, exploration.
         num_workers: environments on SUMO, each in a process of its own (but for ``collector=single``), and workers
             of the final evaluation.
-        num_envs: environments on the twin; null: 64.
         device: where the learner's networks and replay live: ``cpu``, ``cuda``, or ``auto``: a GPU where there is one.
             Collection stays on the CPU. The presets' networks are small; a GPU pays off for larger ones.
         total_frames: environment steps of the whole run, over all workers.
@@ -245,11 +284,7 @@ class TrainConfig:
     checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
     validation: ValidationConfig = field(default_factory=ValidationConfig)
     evaluation: BriefEvaluationConfig = field(default_factory=BriefEvaluationConfig)
-    simulator: str = REFERENCE
     twin: TrainingTwinConfig = field(default_factory=TrainingTwinConfig)
-    seed: int = 0
-    num_workers: int = 2
-    num_envs: int | None = None
     device: Literal["cpu", "cuda", "auto"] = "cpu"
     total_frames: int = 195_000
     start: str | None = None
@@ -259,11 +294,7 @@ class TrainConfig:
     """Whose contexts of a task are meant."""
 
     def __post_init__(self) -> None:
-        check_types("", self)
-        check_range("seed", self.seed, 0, 2**31 - 1)
-        check_range("num_workers", self.num_workers, 1, 1024)
-        if self.resume is None:  # a run that goes on has its own simulator
-            check_num_envs(self.simulator, self.num_envs)
+        super().__post_init__()
         simulator = simulator_of(self.simulator)
         if simulator.batched and self.collector.name != "parallel":
             raise IzooError(
@@ -274,44 +305,50 @@ class TrainConfig:
         self._fit_action()
         self.algo.check_run(self)
         for group in self.algo.emits:
-            self._emit(group)
+            if group not in self.env.emit:
+                emit = (*self.env.emit, group)
+                object.__setattr__(self, "env", dataclasses.replace(self.env, emit=emit))
         if self.levels.draw == "prioritised" and not simulator.saves:
             raise IzooError(
                 f"levels.draw=prioritised saves its place with the simulator, which {simulator.label} cannot; choose "
                 "simulator=twin, or levels.draw=uniform."
             )
-        for name in ("start", "run_dir", "resume"):
-            _make_absolute(self, name)
+        make_absolute(self, "start", "run_dir", "resume")
+
+    @property
+    def environments(self) -> int:
+        """How many environments are stepped side by side."""
+        return 1 if self.collector.name == "single" else super().environments
+
+    @property
+    def batch_frames(self) -> int:
+        """Steps of a batch over all environments: ``algo.frames_per_batch``, as a multiple of their number.
+
+        Where policies are compared, it is an episode of each.
+        """
+        if self.algo.candidates > 1:
+            return self.environments * self.env.decisions
+        return -(-self.algo.frames_per_batch // self.environments) * self.environments
 
     @property
     def staggered(self) -> int:
         """How many of the first episodes begin at random phases."""
         by_step = self.env.decide == STEP and self.algo.candidates == 1
-        if not simulator_of(self.simulator).saves or not self.twin.stagger or not by_step:
-            return 0
-        return self.num_envs or TWIN_ENVS
+        return self.environments if simulator_of(self.simulator).saves and self.twin.stagger and by_step else 0
 
     def _fit_action(self) -> None:
         """Let the environment take what the policy's actions stand for."""
-        name, env = self.action.name, self.env
-        parts = BEFORE_AND_BEHIND if name == "arrive" else env.action_parts
-        if name in ("speed", "arrive"):
-            object.__setattr__(self, "env", dataclasses.replace(env, action=SPEED, action_parts=parts))
-        elif env.action == SPEED:
+        if self.action.commands:
+            object.__setattr__(self, "env", dataclasses.replace(self.env, **self.action.commands))
+        elif self.env.action == SPEED:
             raise IzooError(
                 f"env.action=speed takes desired speeds, but the policy's actions are those of action="
-                f"{name}; choose action=speed or arrive, or env.action=acceleration."
+                f"{self.action.name}; choose action=speed or arrive, or env.action=acceleration."
             )
-
-    def _emit(self, group: str) -> None:
-        """Let the environment emit what the learner needs."""
-        if group not in self.env.emit:
-            emit = (*self.env.emit, group)
-            object.__setattr__(self, "env", dataclasses.replace(self.env, emit=emit))
 
 
 @dataclass(frozen=True)
-class CollectConfig:
+class CollectConfig(RolloutConfig):
     """Options of a data collection.
 
     Attributes:
@@ -321,52 +358,21 @@ class CollectConfig:
         frames: environment steps to store.
         out: a new or empty folder for the data.
         contexts: which contexts episodes are drawn from.
-        env: the environment, and with ``env.emit`` what is stored.
+        env: the environment, and with ``env.emit`` what is stored besides the agents.
         shard_frames: most steps per shard, a set of memory-mapped files.
-        simulator: ``sumo``, or ``twin``, its compiled copy: many environments in this process.
         twin: how the twin runs.
-        seed: base seed: episodes, drivers, exploration.
-        num_workers: environments on SUMO, each in a process of its own.
-        num_envs: environments on the twin; null: 64.
     """
 
     policy: str = "random"
     frames: int = 10_000
     out: str | None = None
     contexts: ContextsConfig = field(default_factory=PcgContexts)
-    env: EnvConfig = field(default_factory=EnvConfig)
+    env: EnvConfig = field(default_factory=lambda: EnvConfig(emit=()))
     shard_frames: int = 100_000
-    simulator: str = REFERENCE
     twin: TwinConfig = field(default_factory=TwinConfig)
-    seed: int = 0
-    num_workers: int = 2
-    num_envs: int | None = None
 
     def __post_init__(self) -> None:
-        check_types("", self)
-        check_num_envs(self.simulator, self.num_envs)
+        super().__post_init__()
         check_range("frames", self.frames, 1, 10**12)
         check_range("shard_frames", self.shard_frames, 1, 10**9)
-        check_range("seed", self.seed, 0, 2**31 - 1)
-        check_range("num_workers", self.num_workers, 1, 1024)
-        _make_absolute(self, "out")
-
-
-def check_num_envs(simulator: str, num_envs: int | None) -> None:
-    """Raise :class:`IzooError` where the number of environments is out of range, or would be ignored."""
-    chosen = simulator_of(simulator)
-    if num_envs is None:
-        return
-    check_range("num_envs", num_envs, 1, MAX_ENVS)
-    if not chosen.batched:
-        raise IzooError(
-            f"num_envs is {num_envs}, but on {chosen.label} every environment is a process: set num_workers, or choose "
-            "simulator=twin."
-        )
-
-
-def _make_absolute(config: object, name: str) -> None:
-    """Resolve a path against the folder the command was given in, so that the saved options hold anywhere."""
-    value = getattr(config, name)
-    if value is not None:
-        object.__setattr__(config, name, str(expanded(value).absolute()))
+        make_absolute(self, "out")

@@ -95,7 +95,7 @@ def build(
         check_choice("city with published weather", scenario.city, WEATHER_PUBLISHED)
         temperature_c, humidity_pct = WEATHER_PUBLISHED[scenario.city]
     else:
-        temperature_c, humidity_pct = _county_weather(scenario.city, scenario.season)
+        temperature_c, humidity_pct = weather(scenario.city, scenario.season)
     as_listed = approach is None and weather_from == "county" and cv_vehicle == "paper"
     listed = as_listed and scenario.adoption in ADOPTIONS
     return Context(
@@ -110,11 +110,6 @@ def build(
         cv_vehicle=cv_vehicle,
         context_id=find_id(*scenario) if listed else None,
     )
-
-
-@functools.cache
-def _county_weather(city: str, season: str) -> tuple[float, float]:
-    return weather(city, season)
 
 
 class Scenarios(Lazy[Context]):
@@ -163,7 +158,10 @@ class Scenarios(Lazy[Context]):
                 check_choice("city with published weather", name, WEATHER_PUBLISHED)
         self._levels: tuple[tuple[Any, ...], ...] = (seasons, adoptions, hours, engines)
         self._places = [np.asarray(city_split(name, split)) for name in self.cities]
-        counts = [_contexts_per_intersection(name, approaches)[places] for name, places in self._zip()]
+        counts = [
+            _contexts_per_intersection(name, approaches)[places]
+            for name, places in zip(self.cities, self._places, strict=True)
+        ]
         self._ends = np.cumsum(np.concatenate(counts)) if counts else np.zeros(0, dtype=int)
         self._city_ends = np.cumsum([len(places) for places in self._places])
         super().__init__(int(self._ends[-1]) * self._per_place if len(self._ends) else 0, self._build)
@@ -180,9 +178,6 @@ class Scenarios(Lazy[Context]):
     @property
     def _per_place(self) -> int:
         return int(np.prod([len(level) for level in self._levels]))
-
-    def _zip(self) -> Iterable[tuple[str, np.ndarray]]:
-        return zip(self.cities, self._places, strict=True)
 
     def locate(self, index: int) -> tuple[Scenario, str | None]:
         """Return what entry ``index`` stands for, without building it: the scenario and its only approach, if any."""

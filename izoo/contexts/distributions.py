@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -186,10 +186,10 @@ class Product:
                         f"excluding {side!r} along {name!r} means nothing, since {name} is drawn from an interval, "
                         "which hits no single value; give (low, high), as an option low..high."
                     )
-        if self.exclude and not self._any_point_left():
-            raise IzooError(f"the exclusion {[dict(box.sides) for box in self.exclude]} leaves nothing; shrink a box.")
         if self.exclude and self.is_finite:
             object.__setattr__(self, "_kept", self._kept_indices())
+        elif self.exclude:
+            self.sample(np.random.default_rng(0))  # raises where nothing is left
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -208,7 +208,10 @@ class Product:
             point = _flatten({key: distribution.sample(generator) for key, distribution in self.features.items()})
             if not any(box.contains(point) for box in self.exclude):
                 return point
-        raise IzooError(f"{MAX_REJECTIONS} draws in a row fell into an exclusion box; shrink the box.")
+        raise self._nothing_left()
+
+    def _nothing_left(self) -> IzooError:
+        return IzooError(f"the exclusion {[dict(box.sides) for box in self.exclude]} leaves nothing; shrink a box.")
 
     def __len__(self) -> int:
         if not self.is_finite:
@@ -248,30 +251,9 @@ class Product:
         if count > MAX_ENUMERATION:
             raise IzooError(f"a finite product with exclusions has {count} points; at most {MAX_ENUMERATION} work.")
         kept = [index for index in range(count) if not any(box.contains(self._point(index)) for box in self.exclude)]
+        if not kept:
+            raise self._nothing_left()
         return np.asarray(kept, dtype=np.int64)
-
-    def _any_point_left(self) -> bool:
-        """Cut intervals at the faces of the boxes and look for one cell that no box covers."""
-        cells = {key: self._cells(key, distribution) for key, distribution in self.features.items()}
-        for values in itertools.product(*cells.values()):
-            point = _flatten(dict(zip(cells, values, strict=True)))
-            if not any(box.contains(point) for box in self.exclude):
-                return True
-        return False
-
-    def _cells(self, key: Key, distribution: Distribution) -> Sequence[Any]:
-        """Values that stand for every way in which ``key`` can lie inside or outside the boxes."""
-        if not isinstance(distribution, Uniform):
-            return distribution.support
-        faces = {distribution.low, distribution.high}
-        for box in self.exclude:
-            side = box.sides.get(key) if isinstance(key, str) else None
-            if isinstance(side, tuple):
-                faces.update(face for face in side if distribution.low <= face <= distribution.high)
-        edges = sorted(faces)
-        if len(edges) == 1:
-            return edges
-        return [(low + high) / 2.0 for low, high in itertools.pairwise(edges)]
 
 
 def _flatten(values: Mapping[Key, Any]) -> dict[str, Any]:

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +26,6 @@ MAX_LOG_SD = 2.0
 """A driver in twenty would lie more than fifty times above or below the median."""
 MAX_FILE_BYTES = 10_000_000
 
-T = TypeVar("T")
 Row = tuple[float, ...]
 
 
@@ -44,15 +42,21 @@ class DriverPopulation:
     log_cov: tuple[tuple[Row, ...], ...]
 
     def __post_init__(self) -> None:
-        # Lists come from JSON; equal populations must hash alike whatever they were made from.
-        object.__setattr__(self, "log_mean", _list(self.log_mean, _row))
-        object.__setattr__(self, "log_cov", _list(self.log_cov, lambda rows: _list(rows, _row)))
-        if not len(self.log_mean) == len(self.log_cov) == len(DRIVER_CLASSES):
-            raise IzooError(
-                f"a population of drivers has {len(self.log_mean)} classes; give {' and '.join(DRIVER_CLASSES)}."
-            )
-        for name, mean, covariance in zip(DRIVER_CLASSES, self.log_mean, self.log_cov, strict=True):
-            _check(name, mean, covariance)
+        size = len(IDM_PARAMETERS)
+        for name, shape in (("log_mean", (2, size)), ("log_cov", (2, size, size))):
+            try:
+                values = np.array(getattr(self, name), np.float64)
+            except (TypeError, ValueError, OverflowError):
+                values = np.zeros(0)
+            if values.shape != shape:
+                raise IzooError(
+                    f"a population of drivers needs numbers in {name}, {' x '.join(map(str, shape[1:]))} for each of "
+                    f"{' and '.join(DRIVER_CLASSES)}."
+                )
+            # Lists come from JSON; equal populations must hash alike whatever they were made from.
+            object.__setattr__(self, name, _tuples(values.tolist()))
+        for name, mean, matrix in zip(DRIVER_CLASSES, np.array(self.log_mean), np.array(self.log_cov), strict=True):
+            _check(name, mean, matrix)
 
     @property
     def content_hash(self) -> str:
@@ -95,26 +99,12 @@ def read_population(path: str | Path) -> DriverPopulation:
         raise IzooError(f"{path}: {error}") from None
 
 
-def _list(values: Any, read: Callable[[Any], T]) -> tuple[T, ...]:
-    """Read every entry of a list."""
-    if not isinstance(values, (list, tuple)):
-        raise IzooError(f"a population of drivers has {values!r} where a list belongs.")
-    return tuple(read(value) for value in values)
+def _tuples(values: Any) -> Any:
+    return tuple(map(_tuples, values)) if isinstance(values, list) else values
 
 
-def _row(values: Any) -> Row:
-    try:
-        return _list(values, float)
-    except (TypeError, ValueError, OverflowError):
-        raise IzooError(f"a population of drivers has {values!r:.60} where a list of numbers belongs.") from None
-
-
-def _check(name: str, mean: Row, covariance: Sequence[Row]) -> None:
+def _check(name: str, mean: np.ndarray, matrix: np.ndarray) -> None:
     """Raise :class:`IzooError` unless the numbers are a log-normal distribution of drivers."""
-    size = len(IDM_PARAMETERS)
-    if [len(mean), *(len(row) for row in covariance)] != [size] * (size + 1):
-        raise IzooError(f"{name} drivers need {size} numbers in log_mean and {size} x {size} in log_cov.")
-    matrix = np.array(covariance)
     if not (np.isfinite(mean).all() and np.isfinite(matrix).all()):
         raise IzooError(f"{name} drivers have a number that is not finite.")
     for parameter, value, (low, high) in zip(IDM_PARAMETERS, mean, LEGAL_MEDIANS, strict=True):

@@ -50,7 +50,7 @@ def modules() -> dict[str, Any]:
 
 
 def hydra_commands() -> list[OptionCommand]:
-    """Return the commands whose options Hydra composes."""
+    """Return the commands whose options are words that Hydra parses."""
     return [module.COMMAND for module in modules().values() if hasattr(module, "COMMAND")]
 
 
@@ -123,12 +123,12 @@ def _meaning(docs: dict[str, str], name: str) -> str:
 
 
 def argparse_commands() -> dict[str, Callable[[list[str]], object]]:
-    """Return the functions ``main`` of the commands that Hydra does not compose, by module name."""
+    """Return the functions ``main`` of the commands with subcommands, by module name."""
     return {name: module.main for name, module in modules().items() if not hasattr(module, "COMMAND")}
 
 
 def commands_page(_: str = "") -> str:
-    """Return the help of every command that Hydra does not compose."""
+    """Return the help of every command with subcommands."""
     lines: list[str] = []
     for name, main in argparse_commands().items():
         page = help_of(main, [])

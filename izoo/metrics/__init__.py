@@ -1,6 +1,5 @@
 """From the sums that an environment emits to figures with intervals.
 
-- :mod:`~izoo.metrics.masked`: reductions over valid slots.
 - :mod:`~izoo.metrics.figures`: the registry: every figure that is shown, declared once.
 - :mod:`~izoo.metrics.pairing`: rows of a policy beside those of a baseline.
 - :mod:`~izoo.metrics.statistics`: the headline with its interval, differences, corrections.
@@ -8,3 +7,6 @@
 - :mod:`~izoo.metrics.paper_form`: the measure of the published figures.
 - :mod:`~izoo.metrics.student`: Student's t.
 """
+
+REFERENCE = "sumo"
+"""The simulator whose results count, where several have played."""

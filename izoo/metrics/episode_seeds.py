@@ -55,5 +55,4 @@ def over_episode_seeds(table: pd.DataFrame, policy: str, baseline: str, found: d
             high=whole.value + half,
             p=2.0 * student_t_below(-abs(whole.value) / spread, count - 1),
             over=EPISODE_SEEDS,
-            missing="not over other intersections",
         )

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from izoo.errors import IzooError
+from izoo.metrics import REFERENCE
 from izoo.metrics.figures import Array
 from izoo.metrics.statistics import pooled
 
@@ -24,10 +25,10 @@ CONTEXT = ["train_seed", "context_hash"]
 
 
 def simulators(table: pd.DataFrame) -> list[str]:
-    """Return what played a table, the one that played most episodes first; of two that played as many, SUMO."""
+    """Return what played a table, the one with most episodes first; of two with as many, the reference."""
     episodes = table.drop_duplicates(["policy", "train_seed", "simulator", "context_hash", "seed"])
     counts = episodes["simulator"].value_counts()
-    return sorted(counts.index, key=lambda name: (-counts[name], name))
+    return sorted(counts.index, key=lambda name: (-counts[name], name != REFERENCE))
 
 
 class Paired(NamedTuple):
@@ -83,7 +84,7 @@ def pair(table: pd.DataFrame, policy: str, baseline: str) -> Paired:
     return Paired(*(part[kept].reset_index(drop=True) for part in (_contexts(rows), own, beside)))
 
 
-def by_intersection(contexts: pd.DataFrame, values: Array) -> tuple[Array, list[str], int]:
+def by_intersection(contexts: pd.DataFrame, values: Array) -> tuple[Array, int]:
     """Pool a figure's values by intersection, over the contexts that every training seed has a value in.
 
     Args:
@@ -91,11 +92,10 @@ def by_intersection(contexts: pd.DataFrame, values: Array) -> tuple[Array, list[
         values: ``[N]``, one per row of it.
 
     Returns:
-        ``[S, I]`` values, the names of the intersections, and the number of contexts.
+        ``[S, I]`` values, and the number of contexts.
     """
     matrix = context_matrix(contexts, values)
-    places = intersections_of(contexts, matrix.columns)
-    return pooled(matrix.to_numpy(), places), list(dict.fromkeys(places)), matrix.shape[1]
+    return pooled(matrix.to_numpy(), intersections_of(contexts, matrix.columns)), matrix.shape[1]
 
 
 def intersections_of(contexts: pd.DataFrame, keys: pd.Index) -> list[str]:

@@ -16,7 +16,6 @@ from izoo.metrics.figures import Array
 from izoo.metrics.pairing import CONTEXT, HUMAN, matched
 
 APPROACH = [*CONTEXT, "approach"]
-DESCRIPTION = ["context", "intersection", "city", "demand"]
 
 
 def paper_form(table: pd.DataFrame, policy: str) -> tuple[pd.DataFrame, dict[str, Any]]:
@@ -26,12 +25,12 @@ def paper_form(table: pd.DataFrame, policy: str) -> tuple[pd.DataFrame, dict[str
         table: rows of one simulator, with those of human driving.
 
     Returns:
-        One row per training seed, context and approach: ``saturated``, ``throughput_policy`` and
-        ``throughput_baseline`` (vehicles, means over episode seeds), ``emission_policy_g`` and ``emission_baseline_g``
-        (g per vehicle that crossed, means over the episodes in which both are defined), ``throughput_benefit``,
-        ``benefit_ungated``, ``gated``, ``fell`` (whether it is this approach that closes the gate), ``benefit``, and
-        ``left_out``: why the row has no benefit (no traffic; nobody
-        crossed under human driving), or the empty string. Where nobody crossed under the policy its benefit is 0.
+        One row per training seed, context and approach: ``throughput_policy`` and ``throughput_baseline`` (vehicles,
+        means over episode seeds), ``emission_policy_g`` and ``emission_baseline_g`` (g per vehicle that crossed, means
+        over the episodes in which both are defined), ``throughput_benefit``, ``benefit_ungated``, ``gated``, ``fell``
+        (whether it is this approach that closes the gate), ``benefit``, and ``left_out``: why the row has no benefit
+        (no traffic; nobody crossed under human driving), or the empty string. Where nobody crossed under the policy its
+        benefit is 0.
         The aggregates are those of :func:`paper_aggregates`.
 
     Raises:
@@ -47,8 +46,7 @@ def paper_form(table: pd.DataFrame, policy: str) -> tuple[pd.DataFrame, dict[str
     def sums(rows: pd.DataFrame, name: str) -> Array:
         return added(rows[name].to_numpy(float))
 
-    rows = keys[DESCRIPTION].first()
-    rows["saturated"] = keys["volume_over_capacity"].first() > 1.0
+    rows = keys[["context", "demand"]].first()
     sides = {"policy": own, "baseline": human}
     crossed = {side: part["crossed"].to_numpy(float) for side, part in sides.items()}
     grams = {
@@ -85,26 +83,21 @@ def paper_aggregates(rows: pd.DataFrame) -> dict[str, Any]:
         rows: as :func:`paper_form` returns them, of one or several training seeds.
 
     Returns:
-        ``approaches`` (that count), ``left_out`` (how many do not), ``train_seeds``; ``closed_by``: of intersections
-        with demand from all approaches, which approaches closed the gate for all of them, in words; means over training
-        seeds of
-        ``ratio_of_sums`` (``1 - sum of the policy's g per vehicle / sum of the baseline's``, the baseline's own where
-        the gate is closed), ``mean``, ``share_positive``, ``share_gated``, ``throughput_mean`` (relative change) and
-        ``share_kept`` (approaches whose throughput did not fall); and ``best_ratio_of_sums``: of the best training
-        seed, chosen on the test set, which is the paper's way.
+        ``train_seeds``; ``closed_by``: of intersections with demand from all approaches, which approaches closed the
+        gate for all of them, in words; means over training seeds of ``ratio_of_sums`` (``1 - sum of the policy's g per
+        vehicle / sum of the baseline's``, the baseline's own where the gate is closed), ``mean``, ``share_gated``,
+        ``throughput_mean`` (relative change) and ``share_kept`` (approaches whose throughput did not fall); and
+        ``best_ratio_of_sums``: of the best training seed, chosen on the test set, which is the paper's way.
     """
-    tasks = rows.drop_duplicates(["context_hash", "approach"])
-    n = {
-        "approaches": int((tasks["left_out"] == "").sum()),
-        "left_out": int((tasks["left_out"] != "").sum()),
+    about = {
         "train_seeds": int(rows["train_seed"].nunique()),
         "closed_by": _closed_by(rows[rows["fell"] & (rows["demand"] == "all")]),
     }
     counted = rows[rows["left_out"] == ""]
     if counted.empty:
-        return {**n, **dict.fromkeys((*_aggregates(counted), "best_ratio_of_sums"))}
+        return {**about, **dict.fromkeys((*_aggregates(counted), "best_ratio_of_sums"))}
     seeds = pd.DataFrame([_aggregates(part) for _, part in counted.groupby("train_seed")])
-    return {**n, **seeds.mean().to_dict(), "best_ratio_of_sums": float(seeds["ratio_of_sums"].max())}
+    return {**about, **seeds.mean().to_dict(), "best_ratio_of_sums": float(seeds["ratio_of_sums"].max())}
 
 
 def _closed_by(fell: pd.DataFrame) -> list[str]:
@@ -124,7 +117,6 @@ def _aggregates(rows: pd.DataFrame) -> dict[str, float]:
     return {
         "ratio_of_sums": float(1.0 - own.sum() / baseline.sum()) if baseline.sum() > 0 else 0.0,
         "mean": float(rows["benefit"].mean()),
-        "share_positive": float((rows["benefit"] > 0).mean()),
         "share_gated": float(rows["gated"].mean()),
         "throughput_mean": float(rows["throughput_benefit"].mean()),
         "share_kept": float((rows["throughput_policy"] >= rows["throughput_baseline"]).mean()),

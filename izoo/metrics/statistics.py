@@ -43,30 +43,22 @@ INTERSECTIONS, INTERSECTIONS_AND_SEEDS = "intersections", "intersections and tra
 
 @dataclass(frozen=True)
 class Estimate:
-    """A figure, its interval and what it rests on.
+    """A figure and its interval.
 
     Attributes:
         value: the figure; NaN without values.
         low, high: ends of the 95 % interval; NaN where there is none.
-        n: number of contexts.
-        intersections: number of intersections that they lie on.
-        seeds: number of training seeds.
         over: what could have been others; empty where there is no interval.
-        missing: in words, what the interval leaves out, or why there is none; empty where nothing is missing.
         p: two-sided p-value of "it is 0", consistent with the interval; NaN where there is none.
     """
 
     value: float
-    low: float
-    high: float
-    n: int
-    intersections: int
-    seeds: int = 1
+    low: float = math.nan
+    high: float = math.nan
     over: str = ""
-    missing: str = ""
     p: float = math.nan
 
-    def to_dict(self) -> dict[str, float | int | str | None]:
+    def to_dict(self) -> dict[str, float | str | None]:
         """As plain values; NaN becomes ``None``, as JSON has no NaN."""
         return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(self).items()}
 
@@ -107,39 +99,35 @@ def typical(values: Array) -> Array:
     return iqm(iqm(values))
 
 
-def estimate(values: ArrayLike, n: int | None = None) -> Estimate:
+def estimate(values: ArrayLike) -> Estimate:
     """Return the interquartile mean over intersections and training seeds, with its interval.
 
     Args:
         values: ``[S, I]``; of whatever was not trained, S is 1.
-        n: number of contexts; that of intersections where it is not given.
     """
     x = np.asarray(values, dtype=np.float64)
     if x.ndim != 2:
         raise IzooError(f"values have the shape {x.shape}; give [training seeds, intersections].")
-    seeds, places = x.shape
     if x.size == 0:
-        return Estimate(math.nan, math.nan, math.nan, 0, 0, seeds, missing="nothing to count")
+        return Estimate(math.nan)
     own = iqm(x)
     parts = [_of_intersections(iqm(_without_each(x).T)), *_of_seeds(_without_each(own), own)]
-    return _interval(float(iqm(own)), parts, places if n is None else n, places, (seeds,))
+    return _interval(float(iqm(own)), parts, *x.shape[::-1])
 
 
-def difference(x: ArrayLike, y: ArrayLike, n: int | None = None) -> Estimate:
+def difference(x: ArrayLike, y: ArrayLike) -> Estimate:
     """Return how far X is ahead of Y, paired by intersection; the interquartile mean, with interval and p-value.
 
     Both sides' training seeds could have been others.
 
     Args:
         x, y: ``[S_x, I]`` and ``[S_y, I]`` over the same intersections; of whatever was not trained, S is 1.
-        n: number of contexts; that of intersections where it is not given.
     """
     a, b = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     if a.ndim != 2 or b.ndim != 2 or a.shape[1] != b.shape[1]:
         raise IzooError(f"values have the shapes {a.shape} and {b.shape}; give [training seeds, intersections] twice.")
-    seeds, places = (a.shape[0], b.shape[0]), a.shape[1]
     if a.size == 0 or b.size == 0:
-        return Estimate(math.nan, math.nan, math.nan, 0, 0, max(seeds), missing="nothing to count")
+        return Estimate(math.nan)
     apart = a[:, None] - b[None]
     own = iqm(apart)
     parts = [
@@ -147,21 +135,20 @@ def difference(x: ArrayLike, y: ArrayLike, n: int | None = None) -> Estimate:
         *_of_seeds(_of_both(_each_left_out(own)), iqm(own)),
         *_of_seeds(_of_both(_each_left_out(own.T)), iqm(own.T)),
     ]
-    return _interval(float(_of_both(own)), parts, places if n is None else n, places, seeds)
+    return _interval(float(_of_both(own)), parts, a.shape[1], len(a), len(b))
 
 
-def separate_difference(x: ArrayLike, y: ArrayLike, n: int) -> Estimate:
+def separate_difference(x: ArrayLike, y: ArrayLike) -> Estimate:
     """Return how far the figure of the same training seeds is higher on some intersections than on others.
 
     Args:
         x, y: ``[S, I_x]`` and ``[S, I_y]``, over intersections that have nothing to do with one another.
-        n: number of contexts on both.
     """
     sides = [np.asarray(values, dtype=np.float64) for values in (x, y)]
     a, b = (iqm(values) for values in sides)
     of_x, of_y = (_of_intersections(iqm(_without_each(values).T)) for values in sides)
     parts = [_added(of_x, of_y), *_of_seeds(_without_each(a) - _without_each(b), a - b)]
-    return _interval(float(iqm(a) - iqm(b)), parts, n, min(values.shape[1] for values in sides), (len(a),))
+    return _interval(float(iqm(a) - iqm(b)), parts, min(values.shape[1] for values in sides), len(a))
 
 
 def holm(p: Sequence[float]) -> list[float]:
@@ -253,22 +240,15 @@ def _added(*parts: Part) -> Part:
     return Part(variance, max(int(degrees + 1e-9), 1))
 
 
-def _interval(value: float, parts: Sequence[Part], n: int, places: int, seeds: tuple[int, ...]) -> Estimate:
+def _interval(value: float, parts: Sequence[Part], places: int, *seeds: int) -> Estimate:
     """Return the estimate whose variance is the sum of ``parts``, the first of them over intersections."""
-    none = (math.nan, math.nan, n, places, max(seeds))
-    if places < MIN_INTERSECTIONS:
-        plural = "" if places == 1 else "s"
-        missing = f"no interval: {places} intersection{plural}, and one needs {MIN_INTERSECTIONS}"
-        return Estimate(value, *none, missing=missing)
-    if math.sqrt(parts[0].variance) <= 1e-12 * max(abs(value), 1.0):
-        # An interval of no width would claim certainty.
-        missing = f"no interval: the same figure without any of its {places} intersections"
-        return Estimate(value, *none, missing=missing)
+    # An interval of no width would claim certainty.
+    if places < MIN_INTERSECTIONS or math.sqrt(parts[0].variance) <= 1e-12 * max(abs(value), 1.0):
+        return Estimate(value)
     variance, degrees = _added(*parts)
     error = math.sqrt(variance)
     half = student_t_quantile(0.5 + 0.5 * CONFIDENCE, degrees) * error
     p = 2.0 * student_t_below(-abs(value) / error, degrees)
     few = any(1 < count < MIN_TRAIN_SEEDS for count in seeds)
-    missing = f"not over training seeds, which needs {MIN_TRAIN_SEEDS}" if few else ""
     over = INTERSECTIONS if few or len(parts) == 1 else INTERSECTIONS_AND_SEEDS
-    return Estimate(value, value - half, value + half, n, places, max(seeds), over, missing, p)
+    return Estimate(value, value - half, value + half, over, p)

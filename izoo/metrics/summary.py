@@ -242,8 +242,8 @@ def _against(paired: Paired, rows: pd.DataFrame, name: str, baseline: str) -> Su
     for kind, chosen in _blocks(paired.contexts).items():
         contexts = paired.contexts[chosen]
         pools = {key: by_intersection(contexts, value[chosen]) for key, value in values.items()}
-        saved, _, n = pools["co2_saved"]
-        figures = {key: estimate(pool, count) for key, (pool, _, count) in pools.items()}
+        saved, n = pools["co2_saved"]
+        figures = {key: estimate(pool) for key, (pool, _) in pools.items()}
         if paired.contexts["intersection"].nunique() == 1:
             over_episode_seeds(rows[rows["context_hash"].isin(contexts["context_hash"])], name, baseline, figures)
         found[kind] = {
@@ -271,7 +271,7 @@ def _pairwise(pairs: Pairs, block: str, reference: str | None) -> list[Summary]:
         shared = matrices[x].columns.intersection(matrices[y].columns)
         groups = intersections_of(next(iter(pairs[x].values())).contexts, shared)
         own, other = (pooled(matrices[name][shared].to_numpy(), groups) for name in (x, y))
-        found.append((x, y, difference(own, other, len(shared))))
+        found.append((x, y, difference(own, other)))
     corrected = holm([estimate.p for _, _, estimate in found])
     return [
         {"x": x, "y": y, "difference": each.to_dict(), "p_holm": _plain(p), "verdict": _told_apart(each.value, p)}
@@ -286,10 +286,10 @@ def _gaps(test: Pairs, training: Pairs, block: str) -> Summary:
         if not (test[name] and training[name]):
             continue
         sides = [next(iter(pairs[name].values())) for pairs in (training, test)]
-        (there, _, n), (here, _, m) = (by_intersection(*_saved(paired, block)) for paired in sides)
+        (there, _), (here, _) = (by_intersection(*_saved(paired, block)) for paired in sides)
         if there.size and here.size and len(there) == len(here):
-            gap = separate_difference(there, here, n + m)
-            found[name] = {"training": estimate(there, n).to_dict(), "gap": gap.to_dict()}
+            gap = separate_difference(there, here)
+            found[name] = {"training": estimate(there).to_dict(), "gap": gap.to_dict()}
     return found
 
 

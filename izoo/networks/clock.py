@@ -94,13 +94,9 @@ def make_clock(
 ) -> SignalClock:
     """Derive all tables from phase durations ``[K]`` and colours ``[P, Q, K]``."""
     begin = np.concatenate([[0.0], np.cumsum(duration_s)[:-1]])
-    change = np.full(colour.shape, np.inf)
-    second, third = change.copy(), change.copy()
-    for p in range(colour.shape[0]):
-        for q in range(colour.shape[1]):
-            for k in range(colour.shape[2]):
-                change[p, q, k], greens = _look_ahead(colour[p, q], duration_s, k)
-                second[p, q, k], third[p, q, k] = greens[1], greens[2]
+    durations = duration_s.tolist()
+    rows = [_look_ahead(row, durations) for row in colour.reshape(-1, colour.shape[-1]).tolist()]
+    change, second, third = np.array(rows, float).reshape(*colour.shape, 3).transpose(3, 0, 1, 2)
     green_s = ((colour == GREEN) * duration_s).sum(axis=-1)
     cycle_s = float(duration_s.sum())
     return SignalClock(
@@ -118,16 +114,24 @@ def make_clock(
     )
 
 
-def _look_ahead(colour: np.ndarray, duration_s: np.ndarray, k: int) -> tuple[float, list[float]]:
-    """Time from the beginning of phase ``k`` to the next colour change and to the first three green intervals."""
+def _look_ahead(colour: list[int], duration_s: list[float]) -> list[tuple[float, float, float]]:
+    """Return, of each phase, the time from its beginning to the next colour change, and to the second and third green
+    interval."""
     count = len(duration_s)
-    change, elapsed = np.inf, 0.0
-    greens = [0.0] if colour[k] == GREEN else []
-    for step in range(1, 3 * count + 1):
-        elapsed += float(duration_s[(k + step - 1) % count])
-        before, now = colour[(k + step - 1) % count], colour[(k + step) % count]
-        if now != before:
-            change = min(change, elapsed)
-            if now == GREEN:
-                greens.append(elapsed)
-    return change, [*greens[:3], *[np.inf] * (3 - len(greens[:3]))]
+    if len(set(colour)) == 1:
+        return [(np.inf, np.inf, np.inf)] * count
+    found = []
+    for k in range(count):
+        change, elapsed_s = np.inf, 0.0
+        greens = [0.0] if colour[k] == GREEN else []
+        for step in range(3 * count):
+            elapsed_s += duration_s[(k + step) % count]
+            before, now = colour[(k + step) % count], colour[(k + step + 1) % count]
+            if now != before:
+                change = min(change, elapsed_s)
+                greens += [elapsed_s] if now == GREEN else []
+                if len(greens) == 3:
+                    break
+        second, third, *_ = [*greens, np.inf, np.inf, np.inf][1:]
+        found.append((change, second, third))
+    return found

@@ -139,8 +139,9 @@ def _read_road(path: str, _stamp: int) -> RoadNet:
         raise IzooError(f"{path} is not a complete SUMO net ({error!r}); fetch the file again.") from error
 
 
+@functools.lru_cache(maxsize=1)
 def parse_net(data: bytes, path: str | Path) -> Any:
-    """Parse XML of a net, refusing entities and whatever is not a SUMO net."""
+    """Parse XML of a net, refusing entities and whatever is not a SUMO net; the last one is kept."""
     try:
         root = ElementTree.fromstring(data)
     except (ElementTree.ParseError, DefusedXmlException, LookupError, ValueError) as error:  # or an unknown encoding

@@ -35,7 +35,7 @@ from izoo.metrics.summary import summarise
 from izoo.report import plots, tables
 from izoo.report.paper_results import paper_table
 from izoo.report.tables import Table
-from izoo.results.schema import COLUMNS, FEATURES, IDENTITY, WHOLE
+from izoo.results.schema import COLUMNS, FEATURES, IDENTITY, KEY, WHOLE
 from izoo.results.store import PolicyRecord, read_manifest, read_table
 from izoo.training.plots import draw as draw_charts
 from izoo.training.plots import save
@@ -49,7 +49,6 @@ PAPER_COLUMNS = (*IDENTITY, "crossed", "emission_g")
 DIGITS = 7
 LARGEST = 1e15
 """No number of a row is larger, so that its powers are finite."""
-KEY = ("policy", "train_seed", *PAIR)
 WHOLES = (("entered", ("crossed", "unfinished")), ("due", ("dropped", "waiting", "outside", "early", "entered")))
 """Counts of a row that others add up to."""
 LIMITS = (
@@ -66,15 +65,10 @@ def schema() -> dict[str, Any]:
     return json.loads((resources.files("izoo.report") / SCHEMA_FILE).read_text())
 
 
-def write_entries(folder: Path, out: Path | None = None) -> list[Path]:
-    """Write the file of every entry of a results folder; return their paths.
-
-    Args:
-        folder: what :mod:`izoo.results.store` keeps.
-        out: where to; ``None``: ``leaderboard`` in that folder.
-    """
+def write_entries(folder: Path) -> list[Path]:
+    """Write the file of every entry of a results folder into ``leaderboard`` there; return their paths."""
     table, manifest, written = read_table(folder), read_manifest(folder), []
-    out = out or folder / FOLDER
+    out = folder / FOLDER
     out.mkdir(parents=True, exist_ok=True)
     table = table[(table["task"] == manifest.task) & (table["simulator"] == simulators(table)[0])]
     for name in sorted(set(table["policy"]) - set(BASELINES)):

@@ -6,7 +6,6 @@ import base64
 import dataclasses
 import gzip
 import json
-import math
 from collections.abc import Callable, Sequence
 from importlib import resources
 from pathlib import Path
@@ -25,6 +24,7 @@ from izoo.report.paper_results import paper_table, published_for
 from izoo.report.replay import Player, scenes
 from izoo.report.report_data import Evaluation, Results, collect, context_rows
 from izoo.report.tables import SAVED
+from izoo.results.schema import FEATURES
 from izoo.training.plots import Chart, curves
 
 PAGE_FILE = "report.html"
@@ -33,17 +33,8 @@ SCRIPTS = ("common.js", "features.js", "table.js", "replay.js")
 REPLAY_POLICIES = 6
 REPLAY_BYTES = 4_000_000
 """Replays beyond this many bytes in all are left out, so that the page stays small enough to send."""
-FEATURES = {
-    "volume_over_capacity": "volume over capacity",
-    "green_share": "green share of the cycle",
-    "cycle_s": "cycle (s)",
-    "lane_length_m": "approach length (m)",
-    "speed_limit_mps": "speed limit (m/s)",
-    "lane_count": "lanes",
-    "flow_vph_per_lane": "inflow (veh/h per lane)",
-    "grade": "road grade (rise over run)",
-}
-"""Features that CO2 saved is drawn against; those that do not vary are left out by the page."""
+FIRST_COLUMNS = ("context", "policy", "test", SAVED, plots.DELAY, "co2_g", "delay_s")
+"""Columns of the table of contexts that are shown before others are asked for."""
 Note = Callable[[str], None]
 
 
@@ -132,7 +123,7 @@ def render(results: Results, *, replay: bool = True, imports: bool = False, note
         lost=lost,
         style=_asset("style.css"),
         script="\n".join(_asset(name) for name in SCRIPTS),
-        content=_pack(_json(content)),
+        content=_pack(json.dumps(content, separators=(",", ":"), allow_nan=False).encode()),
         replays=[base64.b64encode(packed).decode() for _, packed in played],
     )
 
@@ -183,7 +174,7 @@ def _columns(several: bool) -> list[dict[str, Any]]:
     """Columns of the table of contexts: names, every figure, features, counts."""
 
     def column(key: str, label: str, digits: int | None = None, meaning: str = "") -> dict[str, Any]:
-        return {"key": key, "label": label, "digits": digits, "meaning": meaning}
+        return {"key": key, "label": label, "digits": digits, "meaning": meaning, "more": key not in FIRST_COLUMNS}
 
     found = [column("context", "context"), column("policy", "policy")]
     found += [column("test", "evaluation")] if several else []
@@ -192,7 +183,9 @@ def _columns(several: bool) -> list[dict[str, Any]]:
         found.append(
             column(figure.name, figure.label + unit, figure.digits, f"over {UNCOMMANDED}" if figure.paired else "")
         )
-    found.append(column("volume_over_capacity", "volume over capacity", 2, "above 1 the intersection is saturated"))
+    found.append(
+        column("volume_over_capacity", FEATURES["volume_over_capacity"], 2, "above 1 the intersection is saturated")
+    )
     return [*found, column("train_seeds", "training seeds", 0)]
 
 
@@ -230,16 +223,3 @@ def _asset(name: str) -> str:
 
 def _pack(content: bytes) -> str:
     return base64.b64encode(gzip.compress(content, 9, mtime=0)).decode()
-
-
-def _json(content: Any) -> bytes:
-    """JSON without NaN, which JSON does not have."""
-    return json.dumps(_plain(content), separators=(",", ":"), allow_nan=False).encode()
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -22,6 +22,7 @@ BINS, LIMIT_PCT = 150, 100.0
 """The published histogram: values clipped to +-100 %, 150 bins."""
 THRESHOLDS_PCT = np.arange(-100.0, 100.5, 0.5)
 UNTRAINED = "_untrained"
+"""Ends the name of an entry that is played as its training begins."""
 SVG_STYLE: Any = {
     **{"svg.fonttype": "none", "svg.hashsalt": "izoo", "legend.frameon": False},
     **dict.fromkeys(("axes.edgecolor", "xtick.color", "ytick.color", "grid.color"), QUIET),
@@ -66,7 +67,7 @@ def tradeoff(summary: Mapping[str, Any]) -> Chart | None:
             series.append(Series([x["value"]], [y["value"]], name, "points", *ends, colour=tint[name], text=[name]))
     if len(series) < 2:
         return None
-    labels = [f"{FIGURES[key].label}, over {UNCOMMANDED} ({FIGURES[key].unit})" for key in (DELAY, SAVED)]
+    labels = [figure_label(key) for key in (DELAY, SAVED)]
     points = "; ".join(f"{s.name} {np.ravel(s.y)[0]:.1f} at {np.ravel(s.x)[0]:+.1f}" for s in series)
     caption = "Upwards: less CO2. To the left: less delay."
     alt = f"{labels[1]} against {labels[0]}: {points}."
@@ -87,7 +88,7 @@ def profiles(values: Mapping[str, ArrayLike]) -> Chart:
             between = np.abs(THRESHOLDS_PCT[(share > 0.0) & (share < 100.0)])
             reach = max(reach, *between) if between.size else reach
             quiet = name in BASELINES or name.endswith(UNTRAINED)
-            series.append(Series(THRESHOLDS_PCT, share, name, "step", colour=tint[name], hollow=quiet))
+            series.append(Series(THRESHOLDS_PCT, share, name, "step", colour=tint[name], dash=":" if quiet else "-"))
     caption = "Higher is better: a curve above another everywhere is better everywhere. Curves have no intervals."
     label, alt = figure_label(SAVED), "Share of contexts above each value, a line per policy."
     range_ = (-min(1.1 * reach, 100.0), min(1.1 * reach, 100.0))
@@ -95,29 +96,20 @@ def profiles(values: Mapping[str, ArrayLike]) -> Chart:
     return Chart("profiles", "Performance profiles", series, *axes, caption, alt, x_range=range_, zero=True)
 
 
-def histogram(values: ArrayLike, title: str, name: str, label: str = "", colour: str = PALETTE[0]) -> Chart:
-    """Return how many contexts have which value; bars far above the others are cut and carry their count.
+def histogram(values: ArrayLike, title: str, name: str, colour: str) -> Chart:
+    """Return how many contexts have which value of CO2 saved.
 
     Args:
         values: any shape, in per cent.
         title, name: of the chart.
-        label: of the axis; empty: CO2 saved over uncommanded.
         colour: of the bars.
     """
     x = np.asarray(values, float).ravel()
     counts, edges = np.histogram(np.clip(x, -LIMIT_PCT, LIMIT_PCT), BINS, (-LIMIT_PCT, LIMIT_PCT))
-    cut = cut_height(counts)
-    words = [str(count) if count > cut else "" for count in counts]
-    bars = Series(0.5 * (edges[:-1] + edges[1:]), np.minimum(counts, cut), kind="bars", colour=colour, text=words)
+    bars = Series(0.5 * (edges[:-1] + edges[1:]), counts, kind="bars", colour=colour)
     alt = f"Histogram of {x.size} values, {title}" + (f", median {np.median(x):.1f} %." if x.size else ".")
-    axes, reach = (label or figure_label(SAVED), "contexts"), (-LIMIT_PCT, LIMIT_PCT)
-    return Chart(name, f"{title} (n = {x.size})", [bars], *axes, alt=alt, x_range=reach, y_most=cut, zero=True)
-
-
-def cut_height(counts: np.ndarray) -> float:
-    """Height at which bars are cut: that of the tallest, unless it is over three times the second tallest."""
-    tallest = np.sort(counts)[::-1]
-    return float(max(2 * tallest[1], 1) if tallest[0] > 3 * max(int(tallest[1]), 1) else max(tallest[0], 1))
+    axes, reach = (figure_label(SAVED), "contexts"), (-LIMIT_PCT, LIMIT_PCT)
+    return Chart(name, f"{title} (n = {x.size})", [bars], *axes, alt=alt, x_range=reach, zero=True)
 
 
 def svg(chart: Chart) -> str:

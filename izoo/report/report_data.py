@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -170,5 +171,9 @@ def context_rows(evaluations: tuple[Evaluation, ...]) -> dict[str, list[Any]]:
             parts.append(means.join(features).assign(policy=policy, test=evaluation.name))
     columns = ["context", "policy", "test", *FIGURES, *FEATURES, "train_seeds"]
     rows = pd.concat(parts) if parts else pd.DataFrame(columns=columns)
-    # Six digits are more than is shown, and keep the page small.
-    return {name: [v if isinstance(v, str) else float(f"{v:.6g}") for v in rows[name]] for name in columns}
+
+    def shown(value: Any) -> Any:
+        """Six digits are more than is shown, and keep the page small; JSON has no NaN."""
+        return value if isinstance(value, str) else float(f"{value:.6g}") if math.isfinite(value) else None
+
+    return {name: list(map(shown, rows[name])) for name in columns}

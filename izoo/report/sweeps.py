@@ -37,10 +37,6 @@ MEASURES = {
 """Columns of a run that are averaged over seeds: heading and unit. The first three are CO2 saved over uncommanded; the
 return is the mean of the last :data:`LAST_ROWS` batches that report one."""
 LAST_ROWS = 5
-FEW_OPTIONS = 3
-"""So many options are named in the picture; ``sweep.csv`` has all."""
-CHARACTERS_PER_OPTION = 40
-"""A terminal shows one option for so many characters of its width; the other columns need the rest."""
 OPTION = "option "
 
 
@@ -90,7 +86,7 @@ def varied(table: pd.DataFrame) -> list[str]:
     return found or ["algo.name"]
 
 
-def report(folder: Path, console: Console | None = None, imports: bool = False) -> Path:
+def report(folder: Path, imports: bool = False) -> Path:
     """Print the table of the sweep in ``folder``; write it and the learning curves there; return the choices' file.
 
     The table has a row per choice: the varied options, ``runs``, ``finished``, the mean of each of :data:`MEASURES`
@@ -112,40 +108,33 @@ def report(folder: Path, console: Console | None = None, imports: bool = False) 
     choices.insert(1, "finished", grouped["state"].agg(lambda state: (state == "finished").sum()))
     choices["frames"], choices["hours_per_run"] = grouped["frames"].sum(), grouped["seconds"].mean() / 3600.0
     choices = choices.reset_index()
-    console = console or Console()
-    shown = options[: max(1, console.width // CHARACTERS_PER_OPTION)]
-    _shown(choices, shown).show(console)
-    if len(shown) < len(options):
-        more = f"{len(options)} options differ, of which {len(shown)} are shown"
-        console.print(f"  {more}; {SWEEP_FILE} has all, in the same rows.", highlight=False)
+    values = choices[options].itertuples(index=False)
+    names = [
+        f"{k}: {', '.join(f'{o}={v}' for o, v in zip(options, of, strict=True))}" for k, of in enumerate(values, 1)
+    ]
+    console = Console()
+    _shown(choices, names).show(console)
     for run in table[table["state"] != "finished"].itertuples():
         console.print(f"  {run.run}: {run.state}, {run.frames:,} frames", highlight=False, markup=False)
     write_text(folder / RUNS_FILE, table.to_csv(index=False))
     write_text(folder / SWEEP_FILE, choices.to_csv(index=False))
     curves: dict[str, list[MetricsTable]] = {}
-    for run_dir, number, choice in zip(found, grouped.ngroup(), chosen.itertuples(index=False), strict=True):
+    for run_dir, number in zip(found, grouped.ngroup(), strict=True):
         metrics = MetricsTable.read(run_dir / run_folder.METRICS_FILE)
-        row = f"row {number + 1}: " if len(options) > FEW_OPTIONS else ""
         if metrics.rows:
-            curves.setdefault(row + ", ".join(choice[:FEW_OPTIONS]), []).append(metrics)
+            curves.setdefault(names[number], []).append(metrics)
     if curves:
-        rest = f" and {len(options) - FEW_OPTIONS} more" if len(options) > FEW_OPTIONS else ""
-        plots.compare_curves(curves, folder / CURVES_FILE, ", ".join(options[:FEW_OPTIONS]) + rest)
+        plots.compare_curves(curves, folder / CURVES_FILE, f"Rows of {SWEEP_FILE}")
     return folder / SWEEP_FILE
 
 
-def _shown(choices: pd.DataFrame, options: Sequence[str]) -> Table:
+def _shown(choices: pd.DataFrame, names: Sequence[str]) -> Table:
     measures = [name for name in MEASURES if choices[name].notna().any()]
     rows = []
-    for number, line in enumerate(choices.to_dict("records"), 1):
-        cells: list[Cell | str] = [*(line[path] for path in options), f"{line['finished']}/{line['runs']}"]
-        cells += [
-            Cell(None if pd.isna(line[name]) else line[name], unit=MEASURES[name][1], signed=name != "return")
-            for name in measures
-        ]
-        rows.append((number, *cells, f"{line['hours_per_run']:.2f}"))
-    names = (path.replace(".", ".\n") for path in options)
-    headings = ("row", *names, "done", *(MEASURES[name][0] for name in measures), "h per run")
+    for name, line in zip(names, choices.astype(object).where(choices.notna(), None).to_dict("records"), strict=True):
+        cells = [Cell(line[key], unit=MEASURES[key][1], signed=key != "return") for key in measures]
+        rows.append((name, f"{line['finished']}/{line['runs']}", *cells, f"{line['hours_per_run']:.2f}"))
+    headings = ("choice", "done", *(MEASURES[name][0] for name in measures), "h per run")
     return Table.of(f"Means over runs; {MEASURE.label} is over {UNCOMMANDED}", headings, rows)
 
 

@@ -184,10 +184,10 @@ def print_summary(summary: Mapping[str, Any], verbose: bool = False, console: Co
         console.print(Text(plain(text)))
 
 
-def markdown(summary: Mapping[str, Any], verbose: bool = True) -> str:
-    """Return what :func:`print_summary` prints, in Markdown."""
+def markdown(summary: Mapping[str, Any]) -> str:
+    """Return everything that :func:`print_summary` prints, in Markdown."""
     parts = []
-    for table in [*_tables(summary), *(details(summary) if verbose else ())]:
+    for table in [*_tables(summary), *details(summary)]:
         parts += [f"{_marked(table.title)}:", table.markdown()]
     return "\n\n".join([*parts, *map(_marked, (counts(summary), *cautions(summary), summary["verdict"]))]) + "\n"
 

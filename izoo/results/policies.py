@@ -53,7 +53,7 @@ def as_policy(policy: str | Policy, config: EnvConfig, name: str | None = None) 
     shipped = zoo.named(policy)
     if shipped:
         trained = zoo.load(shipped)
-        trained.check_observed(config)
+        zoo.check_fits(f"the policy {trained.name}", trained.env, config)
         source = str(expanded(policy).absolute()) if Path(policy).suffix == WEIGHTS else policy
         record = PolicyRecord("trained", weights_hash(trained.policy), source, trained.algo.name, env=own)
         return NamedPolicy(name or trained.name, trained.policy, record)

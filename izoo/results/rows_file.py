@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Sequence
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pandas as pd
 
+from izoo.console import Progress
 from izoo.errors import IzooError
 from izoo.files import read_text, write_text
 
 Row = dict[str, Any]
+Key = tuple[Any, ...]
+Of = TypeVar("Of")
 
 
 class RowsFile:
@@ -42,7 +46,7 @@ class RowsFile:
         self.rows: list[Row] = []
 
     def read(self, mend: bool = True) -> RowsFile:
-        """Read what is there, and with ``mend`` remove a group that was cut short from the file.
+        """Read what is there, and with ``mend`` write the file anew where a group was cut short or columns differ.
 
         Raises:
             IzooError: the file cannot be read, or lacks columns.
@@ -60,16 +64,16 @@ class RowsFile:
             )
         except (OSError, ValueError) as error:
             raise IzooError(f"cannot read {self.path}: {str(error).splitlines()[0]}; choose another folder.") from error
-        absent = [column for column in self.columns if column not in raw]
-        missing = [column for column in absent if column not in self.optional]
+        missing = [column for column in self.columns if column not in raw and column not in self.optional]
         if missing:
             raise IzooError(
                 f"{self.path} lacks the column(s) {', '.join(missing)}: another version of izoo wrote it; choose "
                 "another folder."
             )
+        as_written = tuple(raw.columns) == self.columns and text.endswith("\n\n")
         raw = raw.reindex(columns=list(self.columns)).astype(object)
         self.rows = raw.where(raw.notna(), None).to_dict("records")
-        if mend and (absent or not text.endswith("\n\n")):
+        if mend and not as_written:
             self.replace(self.rows)
         return self
 
@@ -79,6 +83,24 @@ class RowsFile:
         if self.path is not None:
             with self.path.open("a", encoding="utf-8", newline="") as file:
                 file.write(self._lines(rows, header=not file.tell()))
+
+    def fill(self, key: Sequence[str], wanted: Mapping[Key, Of], make: Callable[[Key, Of], Sequence[Row]]) -> list[Row]:
+        """Return the rows of what is wanted; those of what the file lacks are made, and kept group by group.
+
+        Args:
+            key: the columns that tell groups apart.
+            wanted: what each group is made from, by the values of these columns.
+            make: ``(values, what it is made from)`` to the group's rows without these columns; there may be none.
+        """
+        there = {tuple(row[name] for name in key) for row in self.rows}
+        todo = {values: of for values, of in wanted.items() if values not in there}
+        with Progress(len(todo), unit="groups of rows", file=sys.stderr) as bar:
+            for number, (values, of) in enumerate(todo.items(), 1):
+                rows = [{**dict(zip(key, values, strict=True)), **row} for row in make(values, of)]
+                if rows:
+                    self.add(rows)
+                bar.update(number)
+        return [row for row in self.rows if tuple(row[name] for name in key) in wanted]
 
     def replace(self, rows: Iterable[Row]) -> None:
         """Write the file anew with these rows."""

@@ -36,17 +36,17 @@ IDENTITY = (
 """Which episode a row belongs to. ``train_seed`` is 0 where nothing was trained; ``demand`` is ``one`` (approach) or
 ``all``; the context is the one that is evaluated, also in rows of human driving, so that rows pair up."""
 OF_CONTEXT = ("context_id", "hour", "season", "engine", "adoption", "cv_vehicle", "temperature_c", "humidity_pct")
-FEATURES = (
-    "flow_vph_per_lane",
-    "lane_count",
-    "lane_length_m",
-    "speed_limit_mps",
-    "grade",
-    "green_share",
-    "cycle_s",
-    "volume_over_capacity",
-)
-"""What the approach is like; ``green_share`` is the mean over its movements."""
+FEATURES = {
+    "flow_vph_per_lane": "inflow (veh/h per lane)",
+    "lane_count": "lanes",
+    "lane_length_m": "approach length (m)",
+    "speed_limit_mps": "speed limit (m/s)",
+    "grade": "road grade (rise over run)",
+    "green_share": "green share of the cycle",
+    "cycle_s": "cycle (s)",
+    "volume_over_capacity": "volume over capacity",
+}
+"""What the approach is like, and what it is called; ``green_share`` is the mean over its movements."""
 EPISODE_COLUMNS = tuple(f"episode_{name}" for name in EPISODE_METRICS)
 COLUMNS = (*IDENTITY, *FEATURES, *APPROACH_METRICS, *EPISODE_COLUMNS)
 EPISODE = ("policy", "train_seed", "simulator", "context_hash", "seed")

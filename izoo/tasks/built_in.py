@@ -13,6 +13,7 @@ from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.conf.folders import DatasetContexts
 from izoo.contexts.cities.rebuilt import CITIES
 from izoo.contexts.cities.weather import WEATHER_PUBLISHED
+from izoo.envs import COMPILED
 from izoo.envs.config import BEFORE, VEHICLE, EnvConfig
 from izoo.envs.mdp.reward import RewardConfig
 from izoo.errors import IzooError, unknown_choice
@@ -24,7 +25,7 @@ PAPER = "_paper"
 """Ends the names of tasks in the paper's form."""
 ON_TWIN = {
     **registry.ON_TWIN,
-    "validation": {"contexts": 32, "seeds": 1, "simulator": "twin"},
+    "validation": {"contexts": 32, "seeds": 1, "simulator": COMPILED},
     "evaluation": {"contexts": 16, "seeds": 1},
 }
 ONCE = EnvConfig(decide=VEHICLE, action="speed", action_parts=BEFORE, reward=RewardConfig.fuel())
@@ -95,7 +96,7 @@ def _paper_form(task: Task) -> Task:
         + (", trained and tested on all intersections" if whole != roles else ""),
         learns="the paper reports PPO and DDPG; not reproduced",
         env=dataclasses.replace(task.env.with_accelerations(), reward=RewardConfig.paper()),
-        action=DirectAction(),
+        action=DirectAction(low_mps2=-20.0, high_mps2=10.0),
         **whole,
     )
 

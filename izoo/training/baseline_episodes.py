@@ -33,7 +33,6 @@ from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import HUMAN, UNCOMMANDED
 from izoo.results.playing import VEHICLE_REWARD, VEHICLE_SPANS, Play
 from izoo.training.baseline_process import BaselineProcess, Episode
-from izoo.training.batch_size import num_envs
 from izoo.training.environments import NUMBERS, split_totals
 from izoo.training.reward_to_go import RewardToGo
 
@@ -80,12 +79,12 @@ class BaselineSchedule:
         self.schedule, self.driver, self.stride, self.process = schedule, driver, stride, process
         self.record, self._last = record, math.inf
         if config.env.decide == STEP:
-            episodes = num_envs(config) + config.total_frames / config.env.decisions
+            episodes = config.environments + config.total_frames / config.env.decisions
             count = math.ceil(episodes / stride)
             blocks = math.ceil(count / BLOCK)
             self.block, self._last = math.ceil(count / blocks), blocks - 1
         else:  # how many episodes the run needs is not known, but the environments play as many at a time
-            self.block = math.ceil(num_envs(config) / stride)
+            self.block = math.ceil(config.environments / stride)
         self._blocks: dict[int, Future[list[Episode]]] = {}
 
     def expect(self, numbers: Iterable[int]) -> None:
@@ -143,7 +142,7 @@ class BaselineComparison:
         level: Callable[[int], int] | None = None,
     ) -> None:
         self._level, self._in_order = level or int, level is None
-        self.every, self._skipped, self._envs = config.twin.compare_every, config.staggered, num_envs(config)
+        self.every, self._skipped, self._envs = config.twin.compare_every, config.staggered, config.environments
         by_step = config.env.decide == STEP
         env, twin = _by_step(config.env), config.twin
         self.hold_steps = env.hold_steps

@@ -7,7 +7,6 @@ from tensordict import TensorDictBase
 from izoo.algos.learners.base import MASK, REWARD
 from izoo.envs.mdp.frame import TOTALS
 from izoo.metrics.figures import level_tensors
-from izoo.metrics.masked import masked_mean
 from izoo.training.environments import NUMBERS, split_totals
 
 LOGGED = (
@@ -35,14 +34,15 @@ def episode_stats(batch: TensorDictBase, partial: int = 0) -> dict[str, float]:
     Episodes that were lost with their worker report no steps, and are left out.
 
     Returns:
-        ``reward``, ``agents`` (mean number of CVs per step), ``episodes``, and, if any ended, ``return``,
-        ``collisions``, and :data:`LOGGED` pooled over them (every vehicle weighs the same). What is unknown is
-        left out.
+        ``reward``, ``agents`` and ``most_agents`` (mean and largest number of CVs in a step), ``episodes``, and, if any
+        ended, ``return``, ``collisions``, and :data:`LOGGED` pooled over them (every vehicle weighs the same). What is
+        unknown is left out.
     """
     mask, reward = batch.get(MASK), batch.get(("next", *REWARD)).squeeze(-1)
-    stats = {"agents": float(mask.sum(-1).float().mean())}
+    agents = mask.sum(-1).float()
+    stats = {"agents": float(agents.mean()), "most_agents": float(agents.max())}
     if mask.any():
-        stats["reward"] = float(masked_mean(reward, mask, tuple(range(mask.ndim))))
+        stats["reward"] = float(reward[mask].mean())
     ended = batch.get(("next", "done")).squeeze(-1)
     totals = batch.get(("next", TOTALS))[ended]
     whole = split_totals(totals)[0]["steps"] > 0
@@ -63,3 +63,11 @@ def episode_stats(batch: TensorDictBase, partial: int = 0) -> dict[str, float]:
         elif bool(valid):
             stats[name] = float(value)
     return stats
+
+
+def unused_slots(most_agents: int, slots: int) -> str:
+    """Say how many agent slots were in use at once, and what would do, where most of them never were; else nothing."""
+    enough = max(4, 2 ** (2 * most_agents - 1).bit_length())
+    if not 0 < most_agents <= enough <= slots // 2:
+        return ""
+    return f"At most {most_agents} of {slots} agent slots were in use at once; env.num_agents={enough} saves memory."

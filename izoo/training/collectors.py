@@ -19,7 +19,6 @@ from izoo.console import workers_ignore_interrupts
 from izoo.contexts.source import Schedule
 from izoo.envs import simulator_of
 from izoo.results import ray_cluster
-from izoo.training.batch_size import frames_per_batch, num_envs
 from izoo.training.batches_in_place import BatchesInPlace
 from izoo.training.command_replay import EpisodeHistory
 from izoo.training.environments import TrainingBatchEnv, TrainingEnv, random_phases, training_class
@@ -33,8 +32,8 @@ class BatchSource:
         config: options of the run.
         policy: what acts; its parameters may change in place between batches.
         schedule: the episodes.
-        histories: the episodes in progress of a run that is resumed, one per environment (:func:`num_envs`), where each
-            is stepped in a process.
+        histories: the episodes in progress of a run that is resumed, one per environment, where each is stepped in a
+            process.
         left_at: where environments side by side stood (:meth:`environments`).
         keeps: the keys that batches of environments side by side hold; ``None``: all that there are.
 
@@ -51,7 +50,7 @@ class BatchSource:
         left_at: Mapping[str, Any] = MappingProxyType({}),
         keeps: Keys | None = None,
     ) -> None:
-        frames = frames_per_batch(config)
+        frames = config.batch_frames
         simulator = simulator_of(config.simulator)
         self.batched: BatchesInPlace | None = None
         self._collector: BaseCollector | None = None
@@ -59,7 +58,7 @@ class BatchSource:
         with workers_ignore_interrupts():
             if simulator.batched:
                 env = _side_by_side(config, schedule, left_at, keeps)
-                self.batched = BatchesInPlace(env, policy, frames // num_envs(config))
+                self.batched = BatchesInPlace(env, policy, frames // config.environments)
                 return
             if config.collector.name in _APART:
                 self._collector = _APART[config.collector.name](config, policy, schedule, histories, frames)
@@ -109,7 +108,7 @@ def _by_process(config: TrainConfig, schedule: Schedule, histories: Sequence[Epi
 def _side_by_side(
     config: TrainConfig, schedule: Schedule, state: Mapping[str, Any], keeps: Keys | None
 ) -> TrainingBatchEnv:
-    count = num_envs(config)
+    count = config.environments
     return training_class(config.simulator)(
         count,
         contexts=schedule,

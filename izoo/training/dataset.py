@@ -4,73 +4,27 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
-import torch
 from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
-from torchrl.data import ImmutableDatasetWriter, TensorDictReplayBuffer
 
 from izoo.conf.train_options import MAX_ENVS
 from izoo.errors import IzooError, check_whole
 from izoo.files import expanded, reading
 from izoo.training.shard_writer import FORMAT, MANIFEST
-from izoo.training.shards import ShardStorage, as_they_are, check_files
+from izoo.training.shards import ShardStorage, check_files
 
 
-def load(folder: Path | str) -> TensorDictBase:
-    """Open a collected data set.
-
-    Returns:
-        Steps ``[frames]``, in the order of collection: environment after environment within a time step. One shard
-        stays memory-mapped, nothing is read; several are put together in memory, which :func:`replay_buffer`, where
-        steps that follow each other stand beside each other, does not do.
-
-    Raises:
-        IzooError: the folder is not a finished data set of izoo, or a shard is missing.
-    """
-    shards = load_shards(folder)
-    return shards[0] if len(shards) == 1 else torch.cat(shards)
-
-
-def replay_buffer(folder: Path | str, **options: Any) -> TensorDictReplayBuffer:
-    """Open a data set of any number of shards as a read-only replay buffer, memory-mapped, without copying.
-
-    It holds the steps of one environment after those of another, each in the order of time, so that TorchRL's
-    ``SliceSampler`` draws slices of episodes, once it is told which step is of which (:func:`trajectories`).
-
-    Args:
-        folder: what ``out=`` named.
-        options: of :class:`torchrl.data.TensorDictReplayBuffer`, such as ``batch_size``, ``sampler`` or ``transform``.
-
-    Raises:
-        IzooError: the data set cannot be read, or an option is one that a data set determines.
-    """
-    ours = [name for name in ("storage", "writer", "collate_fn") if name in options]
-    if ours:
-        raise IzooError(
-            f"replay_buffer() takes no {', '.join(ours)}: a data set is read only, in a storage of its own."
-        )
-    return TensorDictReplayBuffer(
-        storage=_storage(folder), writer=ImmutableDatasetWriter(), collate_fn=as_they_are, **options
-    )
-
-
-def trajectories(folder: Path | str) -> Tensor:
-    """Return numbers of the episodes that the steps of :func:`replay_buffer` are of, ``[frames]``.
-
-    For ``SliceSampler(slice_len=20, trajectories=trajectories(folder), cache_values=True)``: with the name of a key
-    instead, it reads the whole data set for every batch.
-    """
-    return _storage(folder).leaf(("collector", "traj_ids"))
-
-
-def _storage(folder: Path | str) -> ShardStorage:
+def storage(folder: Path | str) -> ShardStorage:
+    """Return the steps of a data set, those of one environment after those of another; see :func:`load_shards`."""
     return ShardStorage(load_shards(folder), environments=_read_manifest(folder)[0])
 
 
 def load_shards(folder: Path | str) -> list[TensorDictBase]:
-    """Open the shards of a data set, each ``[frames of the shard]``, memory-mapped; see :func:`load`."""
+    """Open the shards of a data set, each ``[frames of the shard]``, memory-mapped.
+
+    Raises:
+        IzooError: the folder is not a finished data set of izoo, or a shard is missing.
+    """
     folder = expanded(folder)
     shards = [(folder / name, frames) for name, frames in _read_manifest(folder)[1]]
     missing = [shard.name for shard, _ in shards if not shard.is_dir()]

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from izoo.conf.mapping import with_given
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError, UnfinishedError
 from izoo.files import NO_ROOM
@@ -19,12 +17,11 @@ from izoo.training.run_state import RunState
 from izoo.training.session import Session, Show, last_good
 
 
-def train(config: TrainConfig, given: frozenset[str] = frozenset(), show: Show | None = None) -> Path:
+def train(config: TrainConfig, show: Show | None = None) -> Path:
     """Train as ``config`` says and return the run folder.
 
     Args:
-        config: the options.
-        given: names of the options that were written on the command line; matters when resuming.
+        config: the options; of a run that is resumed, those of :func:`izoo.training.run_folder.resumed`.
         show: called with the summary of the final evaluation; ``None`` prints its verdict.
 
     Raises:
@@ -34,11 +31,11 @@ def train(config: TrainConfig, given: frozenset[str] = frozenset(), show: Show |
         KeyboardInterrupt: after Ctrl-C or SIGTERM, once the run is saved.
     """
     if config.resume is not None:
-        run_dir = _run_to_resume(config, given)
+        run_dir, path = run_folder.standing(Path(config.resume))
         with run_folder.owned(run_dir), _room(run_dir):
-            config, state, path = _resumed(config, given, run_dir)
+            state = _to_resume(config, run_dir, path)
             run = RunState(config, config.contexts.build())
-            if state is None:
+            if path is None or state is None:
                 run.begin()
             else:
                 run.restore(state, path)
@@ -79,32 +76,10 @@ def _room(run_dir: Path) -> Iterator[None]:
         raise UnfinishedError(f"the memory does not suffice ({text}); {remedy}.") from error
 
 
-def _run_to_resume(config: TrainConfig, given: frozenset[str]) -> Path:
-    """Return the folder of the run to go on with."""
-    for name in sorted(given):
-        if name.split(".")[0] not in run_folder.CHANGEABLE:
-            raise IzooError(
-                f"a resumed run keeps its own options, so {name} cannot be given with resume; "
-                f"only these can: {', '.join(run_folder.CHANGEABLE)}."
-            )
-    where = Path(config.resume or "")
-    return where if _has_only_begun(where) else checkpoint.run_of(checkpoint.find(where))
-
-
-def _has_only_begun(where: Path) -> bool:
-    """Whether a run has saved nothing yet."""
-    return (where / run_folder.CONFIG_FILE).is_file() and not checkpoint.listed(where)
-
-
-def _resumed(
-    config: TrainConfig, given: frozenset[str], run_dir: Path
-) -> tuple[TrainConfig, dict[str, Any] | None, Path]:
-    """Return the options, the state and the checkpoint of the run to go on with; no state: it had not saved any yet."""
-    where = Path(config.resume or "")
-    path = None if _has_only_begun(where) else checkpoint.find(where)
+def _to_resume(config: TrainConfig, run_dir: Path, path: Path | None) -> dict[str, Any] | None:
+    """Check and write the options with which a run goes on, and return the state of its checkpoint."""
     stored = run_folder.read_config(run_dir)
     run_folder.check_drivers(run_dir, stored)
-    config = with_given(dataclasses.replace(stored, run_dir=str(run_dir)), config, given - {"resume"})
     state = None if path is None else checkpoint.load(path)
     # The last batch of a run that is done may have gone beyond its frames.
     if state is not None and config.total_frames < min(stored.total_frames, state["frames"]):
@@ -115,4 +90,4 @@ def _resumed(
     learner_device(config.device)
     check_options(config)
     run_folder.write_config(run_dir, config)
-    return config, state, path or run_dir
+    return state

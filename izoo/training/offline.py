@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +12,10 @@ from torchrl.envs.utils import ExplorationType
 
 from izoo import zoo
 from izoo.algos.drivers.random import RandomDriver
-from izoo.conf.mapping import with_given
-from izoo.conf.train_options import TWIN_ENVS, CollectConfig
+from izoo.conf.train_options import CollectConfig
 from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
 from izoo.contexts.source import RandomSchedule
 from izoo.envs import make, simulator_of
-from izoo.envs.env import EcoDrivingBase
-from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError, UnfinishedError
 from izoo.files import NO_ROOM, claimed_empty, expanded
 from izoo.gpu import check_gpu
@@ -31,7 +27,7 @@ from izoo.training.shard_writer import MANIFEST, ShardWriter
 FRAMES_PER_BATCH = 1000
 
 
-def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
+def collect(config: CollectConfig) -> Path:
     """Step environments with a policy and store every step.
 
     The folder holds ``shard-00000``, ... and ``manifest.json``, which lists the finished shards and is replaced whole
@@ -40,7 +36,6 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
 
     Args:
         config: the options.
-        given: names of the options that were written on the command line; matters where a policy ships with its own.
 
     Returns:
         The folder.
@@ -53,15 +48,11 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
     if config.out is None:
         raise IzooError("out is missing; name a new folder for the data: out=DIR.")
     out = Path(config.out)
-    shipped = zoo.named(config.policy)
-    if shipped:
-        env = with_given(zoo.load(shipped).env, config.env, given, "env")
-        config = dataclasses.replace(config, env=env)
     policy = make_policy(config)
     source = config.contexts.build()
     with claimed_empty(out, "out"):
         collector = _make_collector(config, policy, RandomSchedule(source, config.seed))
-        writer = ShardWriter(config, out, _environments(config))
+        writer = ShardWriter(config, out)
         try:
             with graceful_interrupt() as interrupt, Progress(config.frames) as bar:
                 for batch in collector:
@@ -86,8 +77,13 @@ def collect(config: CollectConfig, given: frozenset[str] = frozenset()) -> Path:
 
 def _make_collector(config: CollectConfig, policy: Policy, schedule: RandomSchedule) -> Collector:
     """Return the source of batches, which has begun its first episodes."""
+    options: dict[str, Any] = {}
+    if simulator_of(config.simulator).batched:
+        options = {"threads": config.twin.threads, "surrogate": config.twin.surrogate}
+        if config.twin.surrogate == "cuda":
+            check_gpu("twin.surrogate", "torch")
     with workers_ignore_interrupts():
-        env = _make_env(config, schedule)
+        env = make(config.simulator, config.environments, schedule, config.env, seed=config.seed, shard=0, **options)
         torch.manual_seed(config.seed)
         try:
             return Collector(
@@ -105,23 +101,6 @@ def _make_collector(config: CollectConfig, policy: Policy, schedule: RandomSched
             raise
 
 
-def _make_env(config: CollectConfig, schedule: RandomSchedule) -> EcoDrivingBase:
-    options: dict[str, Any] = {}
-    if simulator_of(config.simulator).batched:
-        options = {"threads": config.twin.threads, "surrogate": config.twin.surrogate}
-        if config.twin.surrogate == "cuda":
-            check_gpu("twin.surrogate", "torch")
-    count = _environments(config)
-    return make(config.simulator, count, schedule, config.env, seed=config.seed, shard=0, **options)
-
-
-def _environments(config: CollectConfig) -> int:
-    """Return how many environments step together."""
-    if not simulator_of(config.simulator).batched:
-        return config.num_workers
-    return TWIN_ENVS if config.num_envs is None else config.num_envs
-
-
 def make_policy(config: CollectConfig) -> Policy:
     """Return the policy that ``config.policy`` names: a driver, one that ships, one's own, or a run's."""
     if config.policy == "random":
@@ -130,12 +109,7 @@ def make_policy(config: CollectConfig) -> Policy:
         policy = as_policy(config.policy, config.env).policy
         return policy.eval() if isinstance(policy, nn.Module) else policy
     algorithm, trained, _ = run_folder.load_algorithm(config.policy)
-    if observation_names(trained.env) != observation_names(config.env):
-        raise IzooError(
-            f"the policy of {config.policy} was trained on other observations than env describes; "
-            "set env.observed and env.neighbours as in its config.yaml."
-        )
-    zoo.check_actions(f"the policy of {config.policy}", trained.env, config.env)
+    zoo.check_fits(f"the policy of {config.policy}", trained.env, config.env)
     if trained.env.decision_s != config.env.decision_s:
         raise IzooError(
             f"the policy of {config.policy} decides every {trained.env.decision_s:g} s, and env every "

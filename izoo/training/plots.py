@@ -55,7 +55,6 @@ class Series:
         low, high: ends of vertical intervals (of horizontal ones in a chart with ``rows``).
         colour: of the mark.
         faint: drawn thin, beside something that sums it up.
-        hollow: points without filling.
         dash: of lines, as Matplotlib writes it.
         text: ``[N]`` words about the points.
     """
@@ -68,7 +67,6 @@ class Series:
     high: Sequence[float | None] | Array | None = None
     colour: str = PALETTE[0]
     faint: bool = False
-    hollow: bool = False
     dash: str = "-"
     text: Sequence[str] | None = None
 
@@ -90,7 +88,6 @@ class Chart:
         x_label, y_label: of the axes.
         rows: names of rows, where ``y`` counts rows from the top.
         x_range: of the axis; ``None``: what the data need.
-        y_most: where bars are cut; their counts stand in ``text``.
         zero: mark the line at 0 of the measured axis.
     """
 
@@ -103,7 +100,6 @@ class Chart:
     alt: str = ""
     rows: Sequence[str] = ()
     x_range: tuple[float, float] | None = None
-    y_most: float | None = None
     zero: bool = False
 
 
@@ -242,8 +238,6 @@ def _draw_chart(axes: Axes, chart: Chart) -> None:
         axes.axvline(0.0, color=QUIET, linewidth=0.8)
     if chart.x_range:
         axes.set_xlim(chart.x_range)
-    if chart.y_most:
-        axes.set_ylim(0.0, 1.15 * chart.y_most)
     if chart.x_label == FRAMES:  # steps are written short (150k, 1.5M), and far enough apart
         axes.xaxis.set_major_locator(MaxNLocator(nbins=5))
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
@@ -258,22 +252,19 @@ def _draw_series(axes: Axes, series: Series, label: str, across: bool) -> None:
         return
     if series.kind == "bars":
         axes.bar(x, y, width=x[1] - x[0] if len(x) > 1 else 1.0, **style)
-        for place, height, word in zip(x, y, series.text or (), strict=False):
-            axes.annotate(word, (place, height), ha="center", va="bottom", fontsize=8)
         return
     if ends is not None:
         known = np.isfinite(ends).all(0)
         lines = axes.hlines if across else axes.vlines
-        lines((y if across else x)[known], *ends[:, known], color=series.colour, alpha=0.6, linewidth=1.5)
+        lines((y if across else x)[known], *ends[:, known], color=series.colour, linewidth=1.5)
     if series.kind == "points":
-        axes.plot(x, y, "o", fillstyle="none" if series.hollow else "full", **style)
+        axes.plot(x, y, "o", **style)
         for place in zip(x, y, series.text or (), strict=False):
             axes.annotate(place[2], place[:2], fontsize=8, parse_math=False)
         return
     shape = "steps-post" if series.kind == "step" else "default"
-    dash = ":" if series.hollow else series.dash
     style |= {"linewidth": 0.8, "alpha": 0.35} if series.faint else {"linewidth": 1.8}
-    axes.plot(x, y, drawstyle=shape, linestyle=dash, **style)
+    axes.plot(x, y, drawstyle=shape, linestyle=series.dash, **style)
 
 
 def _label(column: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import shutil
 from collections.abc import Iterator
 from datetime import datetime
@@ -10,14 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from omegaconf import OmegaConf
 from tensordict.nn import TensorDictModuleBase
 
 from izoo.algos.learners.base import Algorithm, innermost
-from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.context_choices import ContextsConfig
-from izoo.conf.mapping import from_mapping, to_mapping
+from izoo.conf.mapping import from_mapping, to_mapping, to_yaml
 from izoo.conf.own_traffic import driver_files
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.population import MAX_FILE_BYTES, DriverPopulation, read_population
@@ -38,20 +37,6 @@ from izoo.training import checkpoint
 from izoo.training.loggers import LOGGER_FOLDERS
 
 CONFIG_FILE, METRICS_FILE, CURVE_FILE = "config.yaml", "metrics.csv", "learning_curve.png"
-CHANGEABLE = (
-    "total_frames",
-    "num_workers",
-    "num_envs",
-    "twin",
-    "device",
-    "collector",
-    "logger",
-    "validation",
-    "evaluation",
-    "checkpoint",
-    "resume",
-)
-"""Options that may differ when a run is resumed; the others are part of what the run is."""
 NETWORK_OPTIONS = ("hidden", "activation", "initial_spread", "layers", "heads", "neighbours", "range_m")
 """Options of ``algo`` that decide what the weights of a policy mean."""
 
@@ -105,7 +90,7 @@ def _remove(run_dir: Path, config: TrainConfig, existed: bool) -> None:
 
 def write_config(run_dir: Path, config: TrainConfig) -> None:
     """Write the resolved options as ``config.yaml``."""
-    write_text(run_dir / CONFIG_FILE, OmegaConf.to_yaml(OmegaConf.create(to_mapping(config))))
+    write_text(run_dir / CONFIG_FILE, to_yaml(dataclasses.replace(config, resume=None)))
 
 
 def keep_drivers(run_dir: Path, config: TrainConfig) -> None:
@@ -171,6 +156,24 @@ def read_config(run_dir: Path, imports: bool = True) -> TrainConfig:
             raise IzooError(f"{path}: {error}") from error
 
 
+def standing(where: Path) -> tuple[Path, Path | None]:
+    """Return the folder of a run to go on with, and the checkpoint to go on from; ``None``: it has saved none yet.
+
+    Args:
+        where: the folder, or one of its checkpoint files.
+    """
+    if (where / CONFIG_FILE).is_file() and not checkpoint.listed(where):
+        return where, None
+    path = checkpoint.find(where)
+    return checkpoint.run_of(path), path
+
+
+def resumed(where: Path) -> TrainConfig:
+    """Return the options with which a run goes on: its own; see :func:`standing`."""
+    run_dir, _ = standing(where)
+    return dataclasses.replace(read_config(run_dir), run_dir=str(run_dir), resume=str(where))
+
+
 def load_algorithm(where: Path | str) -> tuple[Algorithm, TrainConfig, dict[str, Any]]:
     """Rebuild a run's algorithm from its newest checkpoint.
 
@@ -197,7 +200,7 @@ def begin_with(algorithm: Algorithm, config: TrainConfig) -> None:
     """
     path = checkpoint.find(Path(config.start or ""))
     theirs, state = read_config(checkpoint.run_of(path)), checkpoint.load(path)
-    if not isinstance(theirs.algo, PPOConfig) or (theirs.algo.name == "gcrl") != (config.algo.name == "gcrl"):
+    if theirs.algo.starts_with != config.algo.starts_with:
         raise IzooError(
             f"start={config.start} is a run of algo={theirs.algo.name}, whose policy has other networks than that of "
             f"algo={config.algo.name}; ppo and mappo can begin with each other's, gcrl with its own."

@@ -13,7 +13,6 @@ from izoo.contexts.source import ContextSource, RandomSchedule, Schedule
 from izoo.envs.twin_env import is_own_state
 from izoo.files import reading
 from izoo.training import run_folder
-from izoo.training.batch_size import num_envs
 from izoo.training.collectors import BatchSource
 from izoo.training.command_replay import EpisodeHistories
 from izoo.training.learner import Learner, learner_device
@@ -46,7 +45,7 @@ class RunState:
         self.frames = self.batches = self.episodes = 0
         self.seconds = 0.0
         self.environments: dict[str, Any] = {}
-        self.histories, self.first_episode = EpisodeHistories.fresh(num_envs(config)), 0
+        self.histories, self.first_episode = EpisodeHistories.fresh(config.environments), 0
         self._saved: dict[str, Any] | None = None
         self._forgets = False
 
@@ -82,7 +81,7 @@ class RunState:
             else:
                 self._forget_episodes(histories.next_episode)
             return
-        same_number = len(environments["episodes"]) == num_envs(self.config)
+        same_number = len(environments["episodes"]) == self.config.environments
         if same_number and is_own_state(environments):
             self.environments = environments
             return
@@ -126,7 +125,7 @@ class RunState:
         if self.first_episode:
             schedule = ShiftedSchedule(schedule, self.first_episode)
         blocks = self.config.algo.candidates
-        return SharedSchedule(schedule, num_envs(self.config), blocks) if blocks > 1 else schedule
+        return SharedSchedule(schedule, self.config.environments, blocks) if blocks > 1 else schedule
 
     def state_dict(self) -> dict[str, Any]:
         """Return what a checkpoint holds besides the number of frames."""

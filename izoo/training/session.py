@@ -16,9 +16,10 @@ from izoo.algos.learners.base import MASK
 from izoo.console import Interrupt, Progress, graceful_interrupt
 from izoo.envs import simulator_of
 from izoo.errors import UnfinishedError
+from izoo.processes import processor_s
 from izoo.training import checkpoint, loggers, plots, run_folder
 from izoo.training.baseline_episodes import BaselineComparison
-from izoo.training.batch_statistics import READS, episode_stats
+from izoo.training.batch_statistics import READS, episode_stats, unused_slots
 from izoo.training.collectors import BatchSource
 from izoo.training.environments import NUMBERS
 from izoo.training.final_evaluation import compare
@@ -58,7 +59,7 @@ class Session:
         self._batches: BatchSource | None = None
         self._baselines: BaselineComparison | None = None
         self._saved_at = state.frames if state.frames else -1
-        self._plotted_s = state.seconds
+        self._plotted_s, self._worked_s = state.seconds, 0.0
         self._threads = torch.get_num_threads()
 
     def run(self, show: Show | None = None) -> None:
@@ -86,6 +87,7 @@ class Session:
                     print(f"All {self.state.frames:,} frames are there: nothing is left to train.", flush=True)
                     self.state.load(None)
                 self._save()
+                self._say_unused_slots()
                 self._validate_last(interrupt)
                 self._plot()
             finally:
@@ -98,6 +100,11 @@ class Session:
             raise KeyboardInterrupt
         self._evaluate(show)
 
+    def _say_unused_slots(self) -> None:
+        most = max(self.table.series("most_agents")[1], default=0.0)
+        if words := unused_slots(int(most), self.config.env.num_agents):
+            print(words, flush=True)
+
     def _say_where_it_stopped(self) -> None:
         if self.state.batches == 0:
             print("Stopped before the first batch; nothing is kept.", flush=True)
@@ -107,6 +114,7 @@ class Session:
 
     def _learn(self, interrupt: Interrupt) -> None:
         """Collect and learn, batch after batch."""
+        self._worked_s = processor_s()
         state, reads = self.state, self.state.learner.reads
         batches = self._batches = state.collector(None if reads is None else (*reads, *READS))
         batched = simulator_of(self.config.simulator).batched
@@ -177,9 +185,11 @@ class Session:
         self.state.batches += 1
         self.state.episodes += int(stats.pop("episodes"))
         self.state.seconds += seconds
+        worked_s, self._worked_s = self._worked_s, processor_s()
         return {
             "frames": self.state.frames,
             "seconds": self.state.seconds,
+            "processor_s": self._worked_s - worked_s,
             "frames_per_s": batch.numel() / seconds,
             "episodes": self.state.episodes,
             **stats,

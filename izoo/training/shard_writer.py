@@ -25,11 +25,10 @@ class ShardWriter:
     Args:
         config: options of the collection.
         out: an empty folder.
-        environments: how many step together.
     """
 
-    def __init__(self, config: CollectConfig, out: Path, environments: int) -> None:
-        self.config, self.out, self.environments = config, out, environments
+    def __init__(self, config: CollectConfig, out: Path) -> None:
+        self.config, self.out = config, out
         self.frames = 0
         self._shards: list[dict[str, Any]] = []
         self._open: TensorDictBase | None = None
@@ -76,7 +75,7 @@ class ShardWriter:
             "izoo": __version__,
             "frames": sum(shard["frames"] for shard in self._shards),
             "simulator": self.config.simulator,
-            "environments": self.environments,
+            "environments": self.config.environments,
             "observation_names": list(observation_names(self.config.env)),
             "shards": self._shards,
             "options": to_mapping(self.config),

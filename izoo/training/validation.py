@@ -71,7 +71,7 @@ class Validator:
             return {}
         code = self._child.process.returncode
         self.close()
-        result = _read_result(self._result(self._validating))
+        result = _read_result(self._result_of(checkpoint.frames_of(self._validating)))
         if code != 0 or result is None:
             self._validating.unlink(missing_ok=True)
             print(
@@ -122,14 +122,11 @@ class Validator:
         if self._child is not None or self._waiting is None:
             return
         self._validating, self._waiting = self._waiting, None
-        result = self._result(self._validating)
+        result = self._result_of(checkpoint.frames_of(self._validating))
         result.parent.mkdir(exist_ok=True)
         with (self.run_dir / LOG_FILE).open("wb") as log:
             place = "izoo.training.validation_worker:main"
             self._child = ChildProcess(place, str(self._validating), str(result), output=log)
-
-    def _result(self, candidate: Path) -> Path:
-        return self._result_of(checkpoint.frames_of(candidate))
 
     def _result_of(self, frames: int) -> Path:
         return self.run_dir / RESULT_FOLDER / f"step-{frames:012d}.json"

@@ -8,9 +8,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig, MixedContexts
-from izoo.conf.folders import DatasetContexts, OsmContexts
 from izoo.contexts.source import ContextSource, MixedSource
 from izoo.errors import IzooError
 from izoo.metrics.figures import FIGURES, HEADLINE
@@ -30,9 +28,10 @@ def held_out(config: ContextsConfig) -> ContextSource:
     """Return what to validate on: the validation split, or, of contexts without splits, the same distribution."""
     if isinstance(config, MixedContexts):
         return MixedSource([held_out(source) for source in config.sources])
-    if isinstance(config, (CityContexts, DatasetContexts, OsmContexts)) and config.split in ("train", "all"):
+    if getattr(config, "split", None) in ("train", "all"):
+        held: Any = config
         with contextlib.suppress(IzooError):  # sets of a few intersections are for training alone
-            return dataclasses.replace(config, split="validation").build()
+            return dataclasses.replace(held, split="validation").build()
     return config.build()
 
 

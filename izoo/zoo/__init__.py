@@ -5,16 +5,14 @@ shows them all. The policy of a run becomes such a file with ``python -m izoo.zo
 path.
 """
 
-from izoo.zoo.catalog import PREFIX, card, check_exported, check_name, named, names
-from izoo.zoo.trained import TrainedPolicy, check_actions, full_episodes, load, read, write
+from izoo.zoo.catalog import card, check_exported, named, names
+from izoo.zoo.trained import TrainedPolicy, check_fits, full_episodes, load, read, write
 
 __all__ = [
-    "PREFIX",
     "TrainedPolicy",
     "card",
-    "check_actions",
     "check_exported",
-    "check_name",
+    "check_fits",
     "full_episodes",
     "load",
     "named",

@@ -20,12 +20,6 @@ def names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in FOLDER.glob(f"*{WEIGHTS}")))
 
 
-def check_name(name: str) -> None:
-    """Raise :class:`IzooError` unless a policy of this name ships."""
-    if name not in names():
-        raise unknown_choice("policy", PREFIX + name, [PREFIX + there for there in names()])
-
-
 def named(policy: str) -> str | None:
     """Return what :func:`izoo.zoo.load` takes: the name in ``zoo:NAME``, or the path of a file ``NAME.pt`` that
     ``python -m izoo.zoo export`` wrote.
@@ -36,11 +30,9 @@ def named(policy: str) -> str | None:
         IzooError: no policy of that name ships, or the file is missing.
     """
     if policy.startswith(PREFIX):
-        name = policy.removeprefix(PREFIX)
-        check_name(name)
-        return name
+        return weights(policy.removeprefix(PREFIX)).stem
     path = expanded(policy)
-    if path.suffix != WEIGHTS or path.is_dir() or _is_checkpoint(path):
+    if path.suffix != WEIGHTS or path.is_dir() or path.parent.name == "checkpoints":
         return None
     if not path.is_file():
         raise IzooError(f"there is no file {path}; give one that {EXPORT} wrote.")
@@ -63,25 +55,17 @@ def check_exported(policy: str) -> None:
         )
 
 
-def _is_checkpoint(path: Path) -> bool:
-    """Whether a file lies where runs keep their checkpoints."""
-    return path.parent.name == "checkpoints"
-
-
 def weights(name: str) -> Path:
-    """Return the file that holds a shipped policy."""
-    check_name(name)
-    return FOLDER / f"{name}{WEIGHTS}"
-
-
-def card(name: str) -> str:
-    """Return the card of a shipped policy, in Markdown: what it was trained on and how, what it did, its limits.
+    """Return the file that holds a shipped policy.
 
     Raises:
         IzooError: no policy of that name ships.
     """
-    check_name(name)
-    path = FOLDER / f"{name}{CARD}"
-    if not path.is_file():
-        raise IzooError(f"the policy {name} has lost its card {path}; install izoo again.")
-    return path.read_text(encoding="utf-8")
+    if name not in names():
+        raise unknown_choice("policy", PREFIX + name, [PREFIX + there for there in names()])
+    return FOLDER / f"{name}{WEIGHTS}"
+
+
+def card(name: str) -> str:
+    """Return the card of a shipped policy, in Markdown: what it was trained on and how, what it did, its limits."""
+    return weights(name).with_suffix(CARD).read_text(encoding="utf-8")

@@ -11,6 +11,7 @@ from izoo.algos.actions.action_modes import ActionConfig
 from izoo.algos.learners import registry
 from izoo.algos.learners.registry import AlgoConfig, make_algorithm
 from izoo.conf.mapping import from_mapping, to_mapping
+from izoo.conf.quoting import written
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
@@ -45,31 +46,22 @@ class TrainedPolicy:
     algo: AlgoConfig
     action: ActionConfig
 
-    def check_observed(self, env: EnvConfig) -> None:
-        """Raise :class:`IzooError` unless ``env`` lets the policy observe and do what it was trained for."""
-        if observation_names(env) != observation_names(self.env):
-            raise IzooError(
-                f"the policy {self.name} was trained on other observations than the env options describe; "
-                "leave env.observed and env.neighbours out."
-            )
-        check_actions(f"the policy {self.name}", self.env, env)
 
-
-def check_actions(policy: str, trained: EnvConfig, env: EnvConfig) -> None:
-    """Raise :class:`IzooError` unless ``env`` takes the actions that a policy was trained to choose, at their times.
+def check_fits(policy: str, trained: EnvConfig, env: EnvConfig) -> None:
+    """Raise :class:`IzooError` unless ``env`` lets a policy observe, and takes at its times, what it was trained on.
 
     Args:
         policy: what it is called in the message.
         trained: the environment that it was trained in.
         env: the one in which it is to act.
     """
-
-    def said(env: EnvConfig, name: str) -> str:
-        value = getattr(env, name)
-        return value if isinstance(value, str) else f"[{','.join(value)}]"
-
+    if observation_names(env) != observation_names(trained):
+        raise IzooError(
+            f"{policy} was trained on other observations than the env options describe; leave env.observed and "
+            "env.neighbours out."
+        )
     for name in ("decide", "action", "action_parts"):
-        theirs, ours = said(trained, name), said(env, name)
+        theirs, ours = (written(getattr(config, name)) for config in (trained, env))
         if theirs != ours:
             raise IzooError(
                 f"{policy} was trained with env.{name}={theirs}, and here it is {ours}; set env.{name}={theirs}."

@@ -6,9 +6,11 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from izoo.algos.actions.action_modes import ActionSpace
 from izoo.algos.learners.set_ppo import SetPPO
 
 LOW, HIGH, FEATURES = -4.5, 2.6, 5
+SPACE = ActionSpace(LOW, HIGH)
 
 
 def make_frames(n: int = 2, t: int = 6, a: int = 4, seed: int = 0) -> TensorDict:

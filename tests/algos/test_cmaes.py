@@ -11,7 +11,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo import train
-from izoo.algos.actions.action_modes import PointMass
+from izoo.algos.actions.action_modes import ActionSpace, PointMass
 from izoo.algos.learners import base
 from izoo.algos.learners.cmaes import CMAES, CMAESConfig
 from izoo.algos.losses.masked_gae import TEAM_REWARD
@@ -36,7 +36,7 @@ def frames(envs: int) -> TensorDict:
 
 def make(population: int = 8, seed: int = 0, point_mass: PointMass | None = None) -> CMAES:
     torch.manual_seed(seed)
-    return CMAES(CMAESConfig(population=population), FEATURES, -0.8, 0.8, point_mass=point_mass or PointMass())
+    return CMAES(CMAESConfig(population=population), FEATURES, ActionSpace(-0.8, 0.8, point_mass or PointMass()))
 
 
 def act(algorithm: CMAES, envs: int, kind: ExplorationType = ExplorationType.RANDOM) -> TensorDict:
@@ -86,7 +86,7 @@ def test_in_evaluation_mode_it_is_its_mean_for_any_number_of_environments() -> N
 
 def test_without_a_rest_it_begins_at_full_throttle() -> None:
     torch.manual_seed(0)
-    algorithm = CMAES(CMAESConfig(), FEATURES, -4.5, 2.6)
+    algorithm = CMAES(CMAESConfig(), FEATURES, ActionSpace(-4.5, 2.6))
     acted = act(algorithm, BLOCK, ExplorationType.DETERMINISTIC)
     assert float(acted[base.ACTION][acted[base.MASK]].min()) > 2.5
 

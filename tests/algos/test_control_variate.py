@@ -10,7 +10,7 @@ from izoo.algos.learners import base
 from izoo.algos.learners.mappo import MAPPO, TEAM_BASELINE, MAPPOConfig
 from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.errors import IzooError
-from tests.algos.frames import FEATURES, HIGH, LOW, act, make_frames
+from tests.algos.frames import FEATURES, SPACE, act, make_frames
 
 GAMMA = 0.9
 
@@ -20,7 +20,7 @@ def make(control_variate: bool, lmbda: float = 1.0) -> MAPPO:
     small = {"hidden": (6, 6), "critic_queries": 2, "critic_embedding": 4, "gamma": GAMMA, "reward_scale": 1.0}
     variate = "team" if control_variate else "none"
     config = MAPPOConfig(credit="team", control_variate=variate, gae_lambda=lmbda, **small)  # type: ignore[arg-type]
-    return MAPPO(config, FEATURES, LOW, HIGH)
+    return MAPPO(config, FEATURES, SPACE)
 
 
 def episodes(algorithm: MAPPO, seed: int) -> TensorDict:

@@ -22,14 +22,14 @@ from izoo.algos.learners.replay import (
     Replay,
     transitions,
 )
-from tests.algos.frames import FEATURES, HIGH, LOW, make_frames
+from tests.algos.frames import FEATURES, HIGH, LOW, SPACE, make_frames
 
 SMALL = {"hidden": (8,), "minibatch_rows": 16, "replay_rows": 500, "learning_starts": 0, "rows_per_frame": None}
 
 
 def make_ddpg(**changes: object) -> DDPG:
     torch.manual_seed(3)
-    return DDPG(DDPGConfig(**{**SMALL, **changes}), FEATURES, LOW, HIGH)  # type: ignore[arg-type]
+    return DDPG(DDPGConfig(**{**SMALL, **changes}), FEATURES, SPACE)  # type: ignore[arg-type]
 
 
 def make_batch(seed: int = 0, n: int = 2, t: int = 6) -> TensorDict:

@@ -19,7 +19,7 @@ from izoo.algos.learners.graph_ppo import GCRL, GCRLConfig
 from izoo.algos.learners.mappo import MAPPO, MAPPOConfig
 from izoo.algos.learners.ppo import PPO, PPOConfig
 from izoo.algos.learners.td3 import TD3, TD3Config
-from tests.algos.frames import FEATURES, HIGH, LOW, alone, make_frames
+from tests.algos.frames import FEATURES, HIGH, LOW, SPACE, alone, make_frames
 
 ON: dict[str, Any] = {"hidden": (8, 8), "minibatch_rows": 7}
 OFF: dict[str, Any] = {"hidden": (8,), "minibatch_rows": 16, "replay_rows": 40, "learning_starts": 0}
@@ -41,7 +41,7 @@ every = pytest.mark.parametrize("name", LEARNERS)
 def make(name: str, **changes: object) -> Any:
     algorithm, config, small = LEARNERS[name]
     torch.manual_seed(3)
-    return algorithm(config(**{**small, **changes}), FEATURES, LOW, HIGH)
+    return algorithm(config(**{**small, **changes}), FEATURES, SPACE)
 
 
 def act(algorithm: Any, batch: TensorDict, seed: int = 1) -> TensorDict:

@@ -16,7 +16,7 @@ from izoo.algos.networks.fleet_features import CHANNELS, COLUMNS, FLEET, FLEET_W
 from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.training.environments import training_class
-from tests.algos.frames import FEATURES, HIGH, LOW, act, make_frames
+from tests.algos.frames import FEATURES, SPACE, act, make_frames
 from tests.envs.worlds import crossing, defer, short
 
 CELLS = FLEET_WIDTH // CHANNELS
@@ -51,7 +51,7 @@ def test_the_picture_by_hand() -> None:
 def test_the_critic_sees_human_drivers_and_the_policy_does_not(credit: str) -> None:
     torch.manual_seed(0)
     small = {"hidden": (6, 6), "critic_queries": 2, "critic_embedding": 4}
-    mappo = MAPPO(MAPPOConfig(critic_sees="all", credit=credit, **small), FEATURES, LOW, HIGH)  # type: ignore[arg-type]
+    mappo = MAPPO(MAPPOConfig(critic_sees="all", credit=credit, **small), FEATURES, SPACE)  # type: ignore[arg-type]
     batch = act(mappo, make_frames())
     for part in (batch, batch["next"]):
         part["vehicles"] = vehicles((2, 6)).clone()

@@ -13,7 +13,7 @@ from izoo.algos.networks.set_networks import places
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M
-from tests.algos.frames import FEATURES, HIGH, LOW, act, make_frames
+from tests.algos.frames import FEATURES, SPACE, act, make_frames
 
 POSITIONS = torch.tensor([-100.0, -90.0, -60.0, 0.0, 0.0, 30.0])
 EVERYONE = torch.ones(6, dtype=torch.bool)
@@ -148,7 +148,7 @@ def test_frames_in_bins_are_as_if_alone(bin_rows: int, monkeypatch: pytest.Monke
 
 def test_rows_remember_their_reach() -> None:
     torch.manual_seed(2)
-    algorithm = GCRL(GCRLConfig(hidden=(8, 8), heads=2, neighbours=1, minibatch_rows=5), FEATURES, LOW, HIGH)
+    algorithm = GCRL(GCRLConfig(hidden=(8, 8), heads=2, neighbours=1, minibatch_rows=5), FEATURES, SPACE)
     batch = act(algorithm, make_frames())
     observation, mask = batch[base.OBSERVATION], batch[base.MASK]
     position_m = (observation[..., STOP_LINE_DISTANCE] * DISTANCE_SCALE_M).masked_fill(~mask, 0.0)
@@ -175,7 +175,7 @@ def test_a_policy_sees_its_own_frame_alone(changes: dict[str, object]) -> None:
     """For whoever is there, in any slot, whatever stands in the empty ones and whoever is in other frames."""
     torch.manual_seed(5)
     config = GCRLConfig(**{"hidden": (16, 16), **changes})  # type: ignore[arg-type]
-    policy, observation = GCRL(config, FEATURES, LOW, HIGH).policy, make_crowd()
+    policy, observation = GCRL(config, FEATURES, SPACE).policy, make_crowd()
     noise = torch.randn(12, 9, generator=torch.Generator().manual_seed(8))
     with torch.no_grad():
         for parameter in policy.parameters():

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from izoo.algos.actions.action_modes import ActionSpace
 from izoo.algos.learners.ddpg import DDPGConfig
 from izoo.algos.learners.graph_ppo import GCRLConfig
 from izoo.algos.learners.mappo import MAPPOConfig
@@ -36,4 +37,4 @@ def test_what_is_out_of_range_is_refused_by_name(config: Any, name: str, value: 
 
 def test_an_untrained_policy_begins_within_the_bounds_of_its_action() -> None:
     with pytest.raises(IzooError, match="initial_accel"):
-        PPO(PPOConfig(initial_accel_mps2=3.0), 5, -4.5, 2.6)
+        PPO(PPOConfig(initial_accel_mps2=3.0), 5, ActionSpace(-4.5, 2.6))

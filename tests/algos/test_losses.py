@@ -23,7 +23,7 @@ from izoo.algos.losses import MaskedDDPGLoss, MaskedGraphPPOLoss, MaskedMAPPOLos
 from izoo.algos.losses.masked_gae import MaskedGAE
 from izoo.algos.networks.gaussian import normal_parameters, tanh_normal
 from izoo.errors import IzooError
-from tests.algos.frames import FEATURES, HIGH, LOW, make_frames
+from tests.algos.frames import FEATURES, HIGH, LOW, SPACE, make_frames
 
 OBSERVATION, MASK, ACTION = base.OBSERVATION, base.MASK, base.ACTION
 
@@ -47,7 +47,7 @@ def actor(among: bool) -> object:
     network = Among(2) if among else nn.Sequential(nn.Linear(FEATURES, 8), nn.Tanh(), nn.Linear(8, 2))
     last = network.layers[-1] if among else network[-1]
     nn.init.zeros_(last.bias)
-    extract = normal_parameters(last, LOW, HIGH, 0.0, 0.5)
+    extract = normal_parameters(last, SPACE, 0.0, 0.5)
 
     class Both(nn.Module):
         def __init__(self) -> None:
@@ -57,7 +57,7 @@ def actor(among: bool) -> object:
         def forward(self, *seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
             return self.extract(self.network(*seen))
 
-    return tanh_normal(Both(), [OBSERVATION, MASK] if among else [OBSERVATION], LOW, HIGH)
+    return tanh_normal(Both(), [OBSERVATION, MASK] if among else [OBSERVATION], SPACE)
 
 
 def critic(among: bool) -> ValueOperator:
@@ -68,7 +68,7 @@ def critic(among: bool) -> ValueOperator:
 def make(kind: str, **options: object) -> LossModule:
     torch.manual_seed(1)
     if kind in OFF_POLICY:
-        policy = nn.Sequential(nn.Linear(FEATURES, 8), nn.Tanh(), nn.Linear(8, 1), Squash(LOW, HIGH))
+        policy = nn.Sequential(nn.Linear(FEATURES, 8), nn.Tanh(), nn.Linear(8, 1), Squash(SPACE))
 
         class Value(nn.Module):
             def __init__(self) -> None:

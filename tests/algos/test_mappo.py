@@ -13,7 +13,7 @@ from izoo.algos.learners.ppo import PPOConfig
 from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
-from tests.algos.frames import FEATURES, HIGH, LOW, make_frames
+from tests.algos.frames import FEATURES, SPACE, make_frames
 
 
 def make_critic(**changes: object) -> SetCritic:
@@ -52,7 +52,7 @@ def test_an_empty_set_has_an_empty_summary() -> None:
 
 def test_the_critic_sees_everyone_and_the_policy_only_oneself() -> None:
     torch.manual_seed(0)
-    mappo = MAPPO(MAPPOConfig(hidden=(8, 8)), FEATURES, LOW, HIGH)
+    mappo = MAPPO(MAPPOConfig(hidden=(8, 8)), FEATURES, SPACE)
     batch = make_frames()
     changed = batch.clone()
     changed[base.OBSERVATION][..., 0, :] += 1.0

@@ -12,12 +12,12 @@ from izoo.algos.learners.graph_ppo import GCRL, GCRLConfig
 from izoo.algos.learners.mappo import MAPPO, MAPPOConfig
 from izoo.algos.learners.ppo import PPO, PPOConfig
 from izoo.algos.networks.gaussian import SamplingPolicy
-from tests.algos.frames import FEATURES, HIGH, LOW, make_frames
+from tests.algos.frames import FEATURES, HIGH, LOW, SPACE, make_frames
 
 
 def make_ppo(**changes: object) -> PPO:
     torch.manual_seed(3)
-    return PPO(PPOConfig(**{"hidden": (8,), "minibatch_rows": 7, **changes}), FEATURES, LOW, HIGH)  # type: ignore[arg-type]
+    return PPO(PPOConfig(**{"hidden": (8,), "minibatch_rows": 7, **changes}), FEATURES, SPACE)  # type: ignore[arg-type]
 
 
 def act(ppo: PPO, batch: TensorDict, seed: int = 1) -> TensorDict:
@@ -30,7 +30,7 @@ def act(ppo: PPO, batch: TensorDict, seed: int = 1) -> TensorDict:
 def test_observations_are_standardised_as_in_the_first_batch(algorithm: type[PPO], config: type[PPOConfig]) -> None:
     torch.manual_seed(3)
     options = config(hidden=(8,), standardise=True, epochs=1, lr=1e-12)
-    ppo, batch = algorithm(options, FEATURES, LOW, HIGH), make_frames()
+    ppo, batch = algorithm(options, FEATURES, SPACE), make_frames()
     batch[base.OBSERVATION].mul_(0.01).add_(3.0)[..., 1] = 7.0
     rows = batch[base.OBSERVATION][batch[base.MASK]]
     ppo.update(act(ppo, batch), 0.0)
@@ -43,7 +43,7 @@ def test_observations_are_standardised_as_in_the_first_batch(algorithm: type[PPO
     later = make_frames(seed=1)
     ppo.update(act(ppo, later), 0.5)
     torch.testing.assert_close(modules[0].mean, rows.mean(0))
-    other = algorithm(options, FEATURES, LOW, HIGH)
+    other = algorithm(options, FEATURES, SPACE)
     other.load_state_dict(ppo.state_dict())
     torch.testing.assert_close(act(other, later)[base.ACTION], act(ppo, later)[base.ACTION])
 

@@ -52,7 +52,7 @@ class CalmConfig(AlgoConfig):
 class Calm:
     options = CalmConfig
 
-    def __init__(self, config, features, low, high, device="cpu"):
+    def __init__(self, config, features, space, device="cpu"):
         self.accel = torch.nn.Parameter(torch.tensor(config.accel_mps2))
         act = lambda observation: self.accel.detach().expand(*observation.shape[:-1], 1).clone()
         self.policy = TensorDictModule(act, [("agents", "observation")], [("agents", "action")])

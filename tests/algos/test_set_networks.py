@@ -16,7 +16,7 @@ from izoo.algos.learners.graph_ppo import GCRL, GCRLConfig
 from izoo.algos.learners.mappo import MAPPO, MAPPOConfig
 from izoo.algos.learners.set_ppo import SetPPO
 from izoo.algos.networks.set_networks import COLUMN, FRAME, places
-from tests.algos.frames import FEATURES, HIGH, LOW, act, alone, make_frames
+from tests.algos.frames import FEATURES, SPACE, act, alone, make_frames
 
 KINDS = {
     "mappo": (MAPPO, MAPPOConfig, {"critic_queries": 2, "critic_embedding": 6}),
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.parametrize("kind", KINDS)
 def make(kind: str, **changes: object) -> SetPPO:
     algorithm, config, small = KINDS[kind]
     torch.manual_seed(3)
-    made = algorithm(config(**{"hidden": (8, 8), "minibatch_rows": 7, **small, **changes}), FEATURES, LOW, HIGH)  # type: ignore[operator]
+    made = algorithm(config(**{"hidden": (8, 8), "minibatch_rows": 7, **small, **changes}), FEATURES, SPACE)  # type: ignore[operator]
     with torch.no_grad():  # an untrained policy hardly looks at what it observes
         for parameter in made.actor.parameters():
             parameter.add_(0.1 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(9)))

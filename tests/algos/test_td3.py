@@ -9,13 +9,13 @@ import torch
 from izoo.algos.learners import base
 from izoo.algos.learners.replay import ERROR, NEXT_OBSERVATION, NEXT_REWARD, NEXT_TERMINATED, STEPS, transitions
 from izoo.algos.learners.td3 import TD3, TD3Config
-from tests.algos.frames import FEATURES, HIGH, LOW
+from tests.algos.frames import FEATURES, HIGH, LOW, SPACE
 from tests.algos.test_ddpg import SMALL, make_batch
 
 
 def make_td3(**changes: object) -> TD3:
     torch.manual_seed(3)
-    return TD3(TD3Config(**{**SMALL, **changes}), FEATURES, LOW, HIGH)  # type: ignore[arg-type]
+    return TD3(TD3Config(**{**SMALL, **changes}), FEATURES, SPACE)  # type: ignore[arg-type]
 
 
 def critics(td3: TD3) -> list[torch.nn.Module]:

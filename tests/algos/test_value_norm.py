@@ -12,14 +12,14 @@ from izoo.algos.learners import base
 from izoo.algos.learners.mappo import MAPPO, MAPPOConfig
 from izoo.algos.learners.ppo import PPO, PPOConfig
 from izoo.algos.losses.masked_gae import MaskedGAE
-from tests.algos.frames import FEATURES, HIGH, LOW, act, make_frames
+from tests.algos.frames import FEATURES, SPACE, act, make_frames
 
 KINDS = ("running", "popart")
 
 
 def make_ppo(**changes: object) -> PPO:
     torch.manual_seed(3)
-    return PPO(PPOConfig(**{"hidden": (8,), "minibatch_rows": 16, **changes}), FEATURES, LOW, HIGH)  # type: ignore[arg-type]
+    return PPO(PPOConfig(**{"hidden": (8,), "minibatch_rows": 16, **changes}), FEATURES, SPACE)  # type: ignore[arg-type]
 
 
 def scaled(batch: TensorDict, factor: float, offset: float = 0.0) -> TensorDict:
@@ -67,7 +67,7 @@ def test_statistics_are_of_the_valid_agent_steps(kind: str, noise: float) -> Non
 def test_the_teams_statistics_are_of_all_frames() -> None:
     torch.manual_seed(0)
     config = MAPPOConfig(hidden=(6, 6), critic_queries=2, critic_embedding=4, credit="team", value_norm="running")
-    mappo = MAPPO(config, FEATURES, LOW, HIGH)
+    mappo = MAPPO(config, FEATURES, SPACE)
     batch = act(mappo, make_frames())
     batch["next", "done"] = torch.zeros(2, 6, 1, dtype=torch.bool)
     batch["next", "terminated"] = torch.zeros(2, 6, 1, dtype=torch.bool)

@@ -15,7 +15,8 @@ import yaml
 from matplotlib import image
 
 from izoo.benchmarks.campaign import __main__ as campaign
-from izoo.benchmarks.campaign.summing_up import agreement, draw_curves, headroom, on_front
+from izoo.benchmarks.campaign.summing_up import agreement, costs, draw_curves, headroom, on_front
+from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from izoo.files import claimed
 from izoo.leaderboard import main as leaderboard
@@ -25,18 +26,20 @@ from izoo.results import read_table
 from izoo.results.store import read_manifest
 from izoo.training import checkpoint
 from izoo.training.loggers import MetricsTable
-from izoo.training.run_folder import owned, read_config
+from izoo.training.run_folder import owned, read_config, write_config
 from tests.report.made_tables import table
 
-TRAIN = ["algo=ppo", "algo.hidden=[8]", "algo.frames_per_batch=40", "algo.epochs=1", "num_envs=4", "total_frames=200"]
+TRAIN = ["algo=ppo", "algo.hidden=[8]", "algo.frames_per_batch=40", "algo.epochs=1", "num_envs=4"]
 TRAIN += ["validation.every_batches=1", "validation.contexts=2", "checkpoint.every_batches=1", "twin.compare_every=0"]
 CONTENT = {
     "entries": {"ppo": {"train": TRAIN}, "glide": {"policy": "glide", "glide": {"floor_mps": 3}}},
     "parts": {
-        "lane": {"task": "busy_lane", "entries": ["glide", "ppo_untrained", "ppo"], "seeds": 1, "contexts": 2},
+        "lane": {
+            **{"task": "busy_lane", "entries": ["glide", "ppo_untrained", "ppo"], "train": ["total_frames=200"]},
+            **{"seeds": 1, "contexts": 2, "training_contexts": 2},
+        }
     },
 }
-CONTENT["parts"]["lane"]["training_contexts"] = 2
 ENTRIES = {"human", "uncommanded", "glide", "ppo_untrained", "ppo"}
 
 
@@ -164,7 +167,9 @@ def test_a_second_start_does_nothing_and_more_is_added(
     rows = read_table(copy / "lane")
     assert (copy / "lane" / "rows.csv").read_bytes().startswith(before) and set(rows["simulator"]) == {"sumo", "twin"}
     found = agreement(rows[rows["task"] == "busy_lane"])
-    assert found is not None and "ppo" in [row.label for row in found.rows] and found.columns[-2:] == ("SUMO", "twin")
+    assert (
+        found is not None and "ppo" in [row.label for row in found.rows] and found.columns[-2:] == ("SUMO", "the twin")
+    )
     said = capsys.readouterr().out.rstrip().splitlines()
     assert said[-1].startswith("lane: ") and said[-1].endswith(".")
 
@@ -223,6 +228,18 @@ def test_headroom_is_a_share_of_what_the_planner_saves() -> None:
     assert found is not None and "8 contexts" in found.title
     shares = {row.label: row.cells[1] for row in found.rows}
     assert shares["planner"] == "100 %" and 45 < int(str(shares["ppo"]).split()[0]) < 56
+
+
+def test_costs_are_those_that_were_recorded(tmp_path: Path) -> None:
+    for name, more in (("new", {"processor_s": 1800.0}), ("old", {})):
+        run = tmp_path / "train" / name / "seed0"
+        run.mkdir(parents=True)
+        write_config(run, TrainConfig())
+        for k in (1, 2):
+            row = {"frames": 40 * k, "seconds": 9.0, "episodes": 18 * k, "agent_rows": 7, **more}
+            MetricsTable(run / "metrics.csv", 40 * k - 1).append(row)
+    hours = f"{36 * TrainConfig().env.horizon_s / 3600:.0f}"
+    assert [row.cells for row in costs(tmp_path).rows] == [("1", "14", hours, "1.00"), ("1", "14", hours, "-")]
 
 
 def test_curves_of_three_factors_stand_beside_another_entry(tmp_path: Path) -> None:

@@ -10,8 +10,9 @@ import torch
 import yaml
 
 from izoo import zoo
+from izoo.benchmarks.campaign.__main__ import CampaignConfig
 from izoo.benchmarks.campaign.experiment import read_experiment, shipped
-from izoo.benchmarks.campaign.jobs import Machine, PartRun, reads_folder, untrained
+from izoo.benchmarks.campaign.jobs import PartRun, reads_folder, untrained
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from izoo.metrics.summary import TRAINING
@@ -30,7 +31,7 @@ def made(name: str, part: str, folder: Path) -> PartRun:
         if "IZOO_TEST_DATA" not in os.environ:
             pytest.skip("IZOO_TEST_DATA is unset; it names the folder with the published dataset's sample")
         dataset = f"{os.environ['IZOO_TEST_DATA']}/salt-lake-city-60"
-    return PartRun(experiment, part, folder, Machine(dataset))
+    return PartRun(experiment, part, folder, CampaignConfig(dataset=dataset))
 
 
 def written(folder: Path, **content: object) -> str:
@@ -114,7 +115,7 @@ def test_entries_keep_their_own_environments(tmp_path: Path) -> None:
 )
 def test_what_a_file_gets_wrong_is_one_sentence(content: dict, message: str, tmp_path: Path) -> None:
     with pytest.raises(IzooError, match=message):
-        PartRun(read_experiment(written(tmp_path, **content)), "a", tmp_path, Machine())
+        PartRun(read_experiment(written(tmp_path, **content)), "a", tmp_path, CampaignConfig())
 
 
 def test_an_experiment_that_is_not_there_is_said() -> None:
@@ -142,7 +143,7 @@ def test_a_run_that_owes_a_validation_is_not_trained(tmp_path: Path, monkeypatch
     for select in ("last", "best"):
         entry, part = {"train": train, "select": select}, {"task": "busy_lane", "entries": ["ppo"], "seeds": 1}
         path = written(tmp_path, entries={"ppo": entry}, parts={select: part})
-        runs, key = PartRun(read_experiment(path), select, tmp_path, Machine()).runs, ("ppo", 0)
+        runs, key = PartRun(read_experiment(path), select, tmp_path, CampaignConfig()).runs, ("ppo", 0)
         runs.run_dir(key).mkdir(parents=True)
         last = checkpoint.save(runs.run_dir(key), 200, {"features": 1}, keep=2)
         assert runs.is_trained(key)

@@ -26,10 +26,10 @@ WORDS = [
 PATIENCE_S = 120.0
 
 
-def order(folder: Path, name: str, frames: int, *more: str) -> tuple[TrainConfig, frozenset[str], Path]:
+def order(folder: Path, name: str, frames: int, *more: str) -> tuple[TrainConfig, Path]:
     run_dir = folder / name
     words = [*WORDS, f"total_frames={frames}", f"run_dir={run_dir}", *more]
-    return compose_config(TrainConfig, words), frozenset(), folder / f"{name}.log"
+    return compose_config(TrainConfig, words), folder / f"{name}.log"
 
 
 def wait_until(true: Callable[[], object], what: str) -> None:
@@ -47,21 +47,6 @@ def test_the_cores_are_shared_out() -> None:
         assert sum(map(len, parts)) == len(mine)
     many = shares(3 * len(mine))
     assert len(many) == 3 * len(mine) and all(len(part) == 1 for part in many) and set().union(*many) == mine
-
-
-@pytest.mark.slow
-def test_runs_learn_beside_each_other_and_make_room_when_they_end(tmp_path: Path) -> None:
-    with ParallelRuns(2) as beside:
-        for seed in (0, 1):
-            assert beside.has_room
-            beside.begin(seed, *order(tmp_path, f"seed{seed}", 200, f"seed={seed}"))
-        assert not beside.has_room and len(beside.going) == 2 and 0 in beside and 2 not in beside
-        wait_until(lambda: beside.is_done(0) and beside.is_done(1), "two runs of 200 frames")
-        assert beside.has_room
-    for seed in (0, 1):
-        assert checkpoint.listed(tmp_path / f"seed{seed}")
-        assert run_folder.read_config(tmp_path / f"seed{seed}").seed == seed
-        assert "Run folder: " in (tmp_path / f"seed{seed}.log").read_text()
 
 
 @pytest.mark.slow

@@ -10,7 +10,6 @@ import torch
 
 from izoo.benchmarks import planner
 from izoo.benchmarks.planner import PlannerConfig
-from izoo.cli import compose
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import TwinEnv
 from izoo.envs.config import EnvConfig
@@ -25,10 +24,6 @@ ENV = EnvConfig(horizon_s=260.0, num_agents=24, num_vehicles=96)
 
 def options(**changes: object) -> PlannerConfig:
     return PlannerConfig(**{"env": ENV, "threads": 1, "look_ahead_s": 60.0, "every_s": 5.0, **changes})  # type: ignore[arg-type]
-
-
-def test_yaml_equals_the_dataclass() -> None:
-    assert compose.compose_config(PlannerConfig, []) == PlannerConfig()
 
 
 @pytest.mark.slow
@@ -76,7 +71,7 @@ def test_the_command_keeps_its_rows(tmp_path: Path, capsys: pytest.CaptureFixtur
     words += ["contexts.inflow_vph_per_lane=500", "contexts.lane_length_m=120", "look_ahead_s=20", "every_s=10"]
     assert planner.main([*words, "threads=1", f"out={out}"]) == 0
     said = capsys.readouterr().out
-    assert "What there is to gain" in said and "The planner saves " in said and "50 % CVs" in said
+    assert "50 % CVs: unsaturated intersections" in said and said.splitlines()[-1].startswith("The planner saves ")
     table, text = read_table(out), (out / "rows.csv").read_text()
     assert set(table["policy"]) == {*planner.BESIDE, planner.PLANNER} and set(table["simulator"]) == {"twin"}
     assert table.groupby("policy")["context_hash"].nunique().eq(2).all()

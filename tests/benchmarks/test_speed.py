@@ -11,7 +11,7 @@ import pytest
 
 from izoo.benchmarks import speed
 from izoo.benchmarks.timing.clocks import CORES, Timed, timed
-from izoo.envs.twin.runtime.thread_pool import Crew
+from izoo.envs.twin.runtime.thread_pool import ThreadPool
 
 
 @pytest.mark.parametrize(
@@ -43,18 +43,18 @@ def test_serial_is_what_the_main_thread_does_beside_its_share() -> None:
         while time.thread_time() - begin < seconds:
             pass
 
-    crew = Crew(2, lambda: None)
-    backend = SimpleNamespace(_crew=crew)
+    pool = ThreadPool(2, lambda: None)
+    backend = SimpleNamespace(_pool=pool)
 
     def step() -> None:
         work(0.02)
-        crew.work(lambda thread: work(0.03))
+        pool.work(lambda thread: work(0.03))
 
     found = timed(step, 0.05, backend)
-    crew.close()
+    pool.close()
     assert found.serial_s == pytest.approx(0.02, rel=0.3)
     assert found.shared_s == pytest.approx(0.06, rel=0.3)
-    assert "work" not in vars(crew) and threading.active_count() >= 1
+    assert "work" not in vars(pool) and threading.active_count() >= 1
 
 
 @pytest.mark.slow
@@ -63,8 +63,8 @@ def test_every_row_says_how_fast_it_is(capsys: pytest.CaptureFixture[str]) -> No
     rows = {row.name: row for row in speed.run(config)}
     said = capsys.readouterr()
     assert "speed" in said.out and "6 / 6 rows" not in said.out  # the bar is on the error stream
-    stepped = rows["twin, 4 environments, 2 threads, all groups"]
+    stepped = rows["twin 4 x 2, all groups"]
     assert stepped.timed is not None and 0.0 < stepped.timed.serial_share < 1.0
     assert stepped.vehicles == pytest.approx(rows["SUMO, one environment"].vehicles, rel=0.3)
     assert all(row.env_steps_per_s > 0.0 or "vehicles/s" in row.note for row in rows.values())
-    assert rows["training on the twin, 4 environments, 2 threads, learner on cpu"].agent_steps_per_s
+    assert rows["training 4 x 2, cpu"].agent_steps_per_s

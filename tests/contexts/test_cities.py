@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from izoo.contexts.cities import rebuilt as cities
-from izoo.contexts.cities.compare import feature_table, format_distances, total_variation, write_csv, write_png
+from izoo.contexts.cities.compare import feature_table, format_distances, total_variation
 from izoo.contexts.cities.copula import FEATURES, MPH, Marginal, marginal
 from izoo.contexts.cities.shapes import share_out_lanes
 from izoo.contexts.movements import conflict
@@ -140,12 +140,6 @@ def test_marginal_inverse_and_histogram_agree():
     assert list(discrete.at(np.array([0.0, 0.2, 0.3, 0.99]))) == [1.0, 1.0, 2.0, 2.0]
 
 
-def test_comparison_is_written(tmp_path):
-    tables = {"salt_lake_city": feature_table(cities.get("salt_lake_city"))}
-    write_csv(tables, tmp_path / "distances.csv")
-    write_png(tables, tmp_path / "histograms.png")
-    lines = (tmp_path / "distances.csv").read_text().splitlines()
-    assert len(lines) == 1 + len(FEATURES)
-    assert lines[1].startswith("salt_lake_city,lane_count,1048,0.0")
-    assert (tmp_path / "histograms.png").read_bytes().startswith(b"\x89PNG")
-    assert "salt_lake_city" in format_distances(tables)
+def test_a_comparison_names_city_and_feature():
+    text = format_distances({"salt_lake_city": feature_table(cities.get("salt_lake_city"))})
+    assert "salt_lake_city" in text and all(name in text for name in FEATURES)

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -47,25 +43,6 @@ def town(tmp_path: Path) -> Path:
         {},
     )
     return tmp_path / "town"
-
-
-def test_every_subcommand_explains_itself(capsys):
-    for command in CONTEXTS.subcommands:
-        with pytest.raises(SystemExit) as stop:
-            main([command.name, "--help"])
-        assert stop.value.code == 0
-        assert command.help.split(",")[0] in " ".join(capsys.readouterr().out.split())
-
-
-def test_something_is_said_at_once(tmp_path):
-    start = time.perf_counter()
-    command = [sys.executable, "-u", "-m", "izoo.contexts", "try", "--count", "1"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith("trying atlanta")
-        process.kill()
-    # Generous, for busy machines; it takes a tenth of that.
-    assert time.perf_counter() - start < 5.0
 
 
 def test_import_reports_and_says_what_comes_next(few, tmp_path, capsys, monkeypatch):
@@ -127,7 +104,6 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(few, town, tmp_path, capsy
         (["draw", "paris", png], "san_francisco"),
         (["draw", "atlanta", str(tmp_path / "out.pdf")], "must end in .png"),
         (["draw", "atlanta", "/dev/null/out.png"], "/dev/null"),
-        (["compare", "--city", "atlanta", "--csv", "/dev/null/out.csv"], "/dev/null/out.csv"),
         (["try", str(town), "--city", "atlanta"], "--city"),
         (["try", "--count", "0"], "--count is 0"),
         (["try", "--horizon-s", "10"], "horizon"),
@@ -142,19 +118,9 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(few, town, tmp_path, capsy
         assert sorted(tmp_path.rglob("*")) == before, argv
 
 
-def test_a_reader_that_stops_early_is_no_error():
-    command = f"{sys.executable} -m izoo.contexts list --limit 0 | head -n 1; exit ${{PIPESTATUS[0]}}"
-    run = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
-    assert (run.returncode, run.stderr) == (0, "")
-
-
 def test_try_cities_plays_in_all_of_them(capsys):
-    before = os.environ.get("IZOO_CACHE_DIR")
     assert main(["try", "--count", "3", "--horizon-s", "60"]) == 0
-    out = capsys.readouterr().out
-    assert "3 intersections, 6 episodes, 0 failures" in out
-    assert "nets built in" in out
-    assert os.environ.get("IZOO_CACHE_DIR") == before
+    assert "3 intersections, 6 episodes, 0 failures" in capsys.readouterr().out
 
 
 def test_try_plays_towns_and_names_what_fails(town, monkeypatch, capsys):

@@ -3,7 +3,6 @@ import pytest
 
 from izoo.contexts.distributions import Box, Uniform
 from izoo.contexts.procedural import (
-    DEFAULTS,
     EASY,
     SYSTEMATICITY_TEST,
     SYSTEMATICITY_TEST_SAMPLE,
@@ -12,7 +11,6 @@ from izoo.contexts.procedural import (
     procedural_context,
     procedural_intersection,
 )
-from izoo.errors import IzooError
 
 
 def _shape_and_ranges(context):
@@ -127,27 +125,6 @@ def test_finite_sources_enumerate_in_a_stable_order():
     assert [context.adoption for context in contexts[1:3]] == [0.5, 0.1]
 
 
-@pytest.mark.parametrize(
-    ("features", "message"),
-    [
-        ({"lane_count": 5}, "lane_count"),
-        ({"lane_count": Uniform(1, 4)}, "give a list"),
-        ({"phase_count": 3}, "phase_count"),
-        ({"lanes": 2}, "lane_count"),
-        ({"engine": "diesel"}, "combustion"),
-        ({"adoption": Uniform(0.5, 1.5)}, r"\[0, 1\]"),
-        ({"inflow_vph_per_lane": 1200}, "900"),
-    ],
-)
-def test_illegal_features_are_refused(features, message):
-    with pytest.raises(IzooError, match=message):
-        ProceduralSource(features)
-
-
 def test_roads_of_another_grade_are_another_intersection():
     names = {procedural_intersection(grade=grade).name for grade in (0.0, 0.05, -0.05)}
     assert len(names) == 3 and procedural_intersection().name in names
-
-
-def test_every_default_is_legal():
-    assert procedural_context(**DEFAULTS) == procedural_context()

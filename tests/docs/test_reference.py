@@ -16,6 +16,7 @@ from izoo.docs import pages
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import EMIT_GROUPS
 from izoo.envs.mdp.reward import REWARD_VECTOR
+from tests.docs import blocks
 from tests.docs.blocks import DOCS, ROOT
 
 ROW = re.compile(r"^\| `(\([^`]+\)|\w+)` \| `\[([^`]*)\]` \| (\w+) \|", re.MULTILINE)
@@ -117,6 +118,13 @@ def test_every_example_and_page_can_be_found() -> None:
     site = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
     listed = re.findall(r"[\w/]+\.md", str(site["nav"]))
     assert sorted(listed) == sorted(path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md"))
+
+
+def test_links_lead_to_files() -> None:
+    for page in [*blocks.pages(), ROOT / "CHANGELOG.md"]:
+        for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)\s]*)?\)", page.read_text()):
+            if "://" not in target and not target.startswith("mailto:"):
+                assert (page.parent / target).exists(), f"{page.name} links to {target}"
 
 
 def test_the_site_asks_for_nothing_from_the_network() -> None:

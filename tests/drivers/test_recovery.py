@@ -74,7 +74,7 @@ def test_a_folder_that_has_all_sets_is_summed_up_and_drawn(
 ) -> None:
     keep(tmp_path, *map(one_set, range(3)))
     monkeypatch.setattr(calibration, "recover", None)  # nothing is left to run
-    assert calibration.main(["--out", str(tmp_path), "--sets", "3", "--drivers", "30"]) == 0
+    assert calibration.main([f"out={tmp_path}", "sets=3", "drivers=30"]) == 0
     assert "3 data sets, 3 converged" in capsys.readouterr().out
     assert (tmp_path / "recovery.png").read_bytes().startswith(b"\x89PNG")
 
@@ -82,18 +82,18 @@ def test_a_folder_that_has_all_sets_is_summed_up_and_drawn(
 def test_sets_of_other_options_are_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     keep(tmp_path, one_set(0), speed_noise=0.05)
     monkeypatch.setattr(calibration, "recover", lambda number, *_: one_set(number))
-    assert calibration.main(["--out", str(tmp_path), "--sets", "1", "--drivers", "30"]) == 0
+    assert calibration.main([f"out={tmp_path}", "sets=1", "drivers=30"]) == 0
     assert len(sets_file(tmp_path).read().rows) == 2 * 15
 
 
 def test_a_set_whose_chains_did_not_move_is_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     keep(tmp_path, one_set(0, converged=False, worst_r_hat=None, least_ess=None))
-    assert calibration.main(["--out", str(tmp_path), "--sets", "1", "--drivers", "30"]) == 0
+    assert calibration.main([f"out={tmp_path}", "sets=1", "drivers=30"]) == 0
     assert "chains that do not move, not converged" in capsys.readouterr().out
 
 
 def test_a_folder_that_cannot_be_made_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    assert calibration.main(["--out", "/dev/null/x", "--sets", "1"]) == 2
+    assert calibration.main(["out=/dev/null/x", "sets=1"]) == 2
     error = capsys.readouterr().err
     assert "cannot use /dev/null/x" in error and error.count("\n") == 1
 
@@ -102,5 +102,5 @@ def test_without_the_extra_it_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "jax", None)
-    assert calibration.main(["--out", str(tmp_path / "out"), "--sets", "1"]) == 2
+    assert calibration.main([f"out={tmp_path}/out", "sets=1"]) == 2
     assert "calibration needs jax" in capsys.readouterr().err and not (tmp_path / "out").exists()

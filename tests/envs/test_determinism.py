@@ -14,8 +14,8 @@ from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList, RandomSchedule
 from izoo.envs import EcoDrivingEnv, SumoParallelEnv, TwinEnv
 from izoo.envs.config import EMIT_GROUPS
-from izoo.envs.sumo.session import SUMO_VERSION
 from izoo.envs.twin.runtime.batched_emissions import GROUP
+from izoo.networks.net.netconvert import SUMO_VERSION
 from tests.envs.conftest import Make, MakeTwin
 from tests.envs.worlds import crossing, digest, play, play_on, short, steer
 

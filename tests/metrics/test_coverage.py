@@ -191,7 +191,7 @@ def test_the_generalisation_gap_of_places_that_are_alike_is_0(name: str, seeds: 
 
     def draw(generator: Generator) -> Estimate:
         both = ALL[name](generator, seeds, 36)
-        return separate_difference(both[:, :24], both[:, 24:], 36)
+        return separate_difference(both[:, :24], both[:, 24:])
 
     if seeds > 1 or name in ANY:
         assert held(0.0, RUNS // 2, draw) >= LEAST
@@ -219,7 +219,7 @@ def test_an_interval_of_the_mean_would_not_hold(name: str, seeds: int, places: i
         weights = sum(v**2 / d for v, d in zip(variances, degrees, strict=True))
         freedom = max(int(sum(variances) ** 2 / weights), 1)
         half = student_t_quantile(0.975, freedom) * math.sqrt(sum(variances))
-        return Estimate(values.mean(), values.mean() - half, values.mean() + half, places, places)
+        return Estimate(values.mean(), values.mean() - half, values.mean() + half)
 
     assert held(true, RUNS, draw) < most
 
@@ -239,6 +239,6 @@ def test_nor_would_one_of_the_interquartile_mean_over_seeds_and_places_at_once()
         variance = sum(part for part, _ in parts)
         freedom = max(int(variance**2 / sum(part**2 / degrees for part, degrees in parts)), 1)
         half, value = student_t_quantile(0.975, freedom) * math.sqrt(variance), float(iqm(values.reshape(-1)))
-        return Estimate(value, value - half, value + half, 60, 60)
+        return Estimate(value, value - half, value + half)
 
     assert held(true, RUNS // 4, draw) < LEAST

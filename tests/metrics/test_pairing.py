@@ -33,18 +33,6 @@ def test_each_training_seed_is_compared_in_its_own_episodes() -> None:
     assert FIGURES["co2_saved"].value(found.own, found.baseline) == pytest.approx([50.0] * 4)
 
 
-def test_an_identical_policy_saves_exactly_nothing() -> None:
-    table = compared({"ppo": [0.0] * 8})
-    found = pair(table, "ppo", "uncommanded")
-    assert (FIGURES["co2_saved"].value(found.own, found.baseline) == 0.0).all()
-
-
-def test_contexts_without_demand_are_left_out() -> None:
-    table = compared({"ppo": [1.0] * 3})
-    table.loc[table["context"] == "x/1/A", ["cohort", "cohort_left", "cohort_region_co2_g"]] = 0.0
-    assert pair(table, "ppo", "human").contexts["intersection"].tolist() == ["x/0", "x/2"]
-
-
 def test_contexts_are_pooled_by_intersection_where_all_training_seeds_have_them() -> None:
     keys = [("x/1/A", 10.0), ("x/1/B", 30.0), ("x/2/A", 5.0)]
     rows = [
@@ -55,8 +43,8 @@ def test_contexts_are_pooled_by_intersection_where_all_training_seeds_have_them(
         if (context, seed) != ("x/2/A", 1)
     ]
     found = pair(pd.DataFrame(rows), "ppo", "human")
-    values, names, n = by_intersection(found.contexts, FIGURES["co2_saved"].value(found.own, found.baseline))
-    assert names == ["x/1"] and n == 2
+    values, n = by_intersection(found.contexts, FIGURES["co2_saved"].value(found.own, found.baseline))
+    assert n == 2, "one training seed lacks x/2/A"
     assert values == pytest.approx(pd.DataFrame([[20.0], [20.0]]).to_numpy())
 
 

@@ -33,7 +33,7 @@ def test_the_benefit_compares_means_over_episode_seeds() -> None:
     assert row["benefit"] == pytest.approx(expected) and not row["gated"]
     assert row["throughput_benefit"] == pytest.approx(1 / 32)
     assert found["ratio_of_sums"] == found["best_ratio_of_sums"] == pytest.approx(expected)
-    assert (found["approaches"], found["left_out"], found["train_seeds"], found["share_kept"]) == (1, 0, 1, 1.0)
+    assert (found["train_seeds"], found["share_kept"]) == (1, 1.0)
 
 
 def test_one_vehicle_at_the_horizon_closes_the_gate() -> None:
@@ -66,7 +66,7 @@ def test_approaches_without_a_figure_say_why() -> None:
     for own, human, entered, why in ((0, 0, 0, "no traffic"), (0, 0, 7, "nobody crossed"), (3, 0, 3, "nobody crossed")):
         row, found = both(([own], [100.0 * own]), ([human], [0.0]), entered=entered)
         assert row["left_out"] == why and np.isnan(row["benefit"])
-        assert found["approaches"] == 0 and found["left_out"] == 1 and found["best_ratio_of_sums"] is None
+        assert found["best_ratio_of_sums"] is None
 
 
 def test_a_policy_that_lets_nobody_cross_has_no_benefit_and_counts_with_the_baselines_emission() -> None:
@@ -76,7 +76,7 @@ def test_a_policy_that_lets_nobody_cross_has_no_benefit_and_counts_with_the_base
     found, aggregates = paper_form(pd.DataFrame(rows), "ppo")
     assert found["benefit"].tolist() == pytest.approx([0.2, 0.0])
     assert aggregates["ratio_of_sums"] == pytest.approx(0.1)
-    assert aggregates["mean"] == pytest.approx(0.1) and aggregates["share_positive"] == 0.5
+    assert aggregates["mean"] == pytest.approx(0.1)
 
 
 def test_figures_are_averaged_over_training_seeds_and_the_best_is_said() -> None:
@@ -86,8 +86,3 @@ def test_figures_are_averaged_over_training_seeds_and_the_best_is_said() -> None
     found, aggregates = paper_form(pd.DataFrame(rows), "ppo")
     assert len(found) == 2 and aggregates["train_seeds"] == 2
     assert aggregates["mean"] == pytest.approx(0.2) and aggregates["best_ratio_of_sums"] == pytest.approx(0.3)
-
-
-def test_saturation_is_volume_over_capacity() -> None:
-    for volume, saturated in ((0.9, False), (1.01, True), (np.nan, False)):
-        assert both(([10], [1e3]), ([10], [1e3]), volume_over_capacity=volume)[0]["saturated"] == saturated

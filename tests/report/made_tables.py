@@ -10,9 +10,10 @@ import numpy as np
 import pandas as pd
 
 from izoo.envs.config import EnvConfig
-from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
-from izoo.results.schema import COLUMNS
+from izoo.envs.mdp.metric_sums import APPROACH_METRICS
+from izoo.results.schema import COLUMNS, EPISODE_COLUMNS, FEATURES
 from izoo.results.store import PolicyRecord, Store
+from tests.metrics.tables import episode_row
 
 BURNED_G, DELAY_S, COHORT = 200.0, 20.0, 40
 
@@ -38,37 +39,12 @@ def row(policy: str, place: int, saved: float, slower_s: float, train_seed: int,
         "agent_steps": 30.0 * COHORT,
         "nan_actions": 0.0,
     }
-    return {
-        "task": "town test",
-        "policy": policy,
-        "train_seed": train_seed,
-        "simulator": "sumo",
-        "context": f"town/{place}/A",
-        "context_hash": hashlib.sha256(str(place).encode()).hexdigest(),
-        "context_id": place,
-        "intersection": f"town/{place}",
-        "city": "town",
-        "approach": "A",
-        "seed": seed,
-        "demand": "one",
-        "hour": "",
-        "season": "winter",
-        "engine": "combustion",
-        "adoption": 1 / 3,
-        "cv_vehicle": "",
-        "temperature_c": 5.0,
-        "humidity_pct": 50.0,
-        "flow_vph_per_lane": 300.0 + 20.0 * place,
-        "lane_count": 1.0,
-        "lane_length_m": 200.0,
-        "speed_limit_mps": 15.0,
-        "grade": 0.0,
-        "green_share": 0.4,
-        "cycle_s": 60.0,
-        "volume_over_capacity": 0.5 if place % 4 else 1.5,
-        **sums,
-        **{f"episode_{name}": 0.0 for name in EPISODE_METRICS},
-    }
+    of = {"policy": policy, "context": f"town/{place}/A", "train_seed": train_seed, "seed": seed}
+    made = episode_row(**of, volume_over_capacity=0.5 if place % 4 else 1.5)  # type: ignore[arg-type]
+    made |= {"task": "town test", "city": "town", "context_id": place, "season": "winter"}
+    made["context_hash"] = hashlib.sha256(str(place).encode()).hexdigest()
+    made |= dict.fromkeys(FEATURES.keys() - made.keys(), 1.0) | {"lane_length_m": 200.0 + 20.0 * place}
+    return dict.fromkeys(COLUMNS) | dict.fromkeys(EPISODE_COLUMNS, 0.0) | made | sums
 
 
 def table(policies: Mapping[str, tuple[float, float, int]], places: int = 12, seeds: int = 1) -> pd.DataFrame:

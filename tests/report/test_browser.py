@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -15,7 +16,8 @@ from tests.report.made_tables import folder, table
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 BROWSER = next((path for name in BROWSERS if (path := shutil.which(name))), None)
-WIDE, PHONE = (1280, 900), (390, 844)
+WIDE, PHONE, PAPER = (1280, 900), (420, 844), (718, 1000)
+"""Width and height in pixels; A4 has the width of the last one between its margins."""
 
 pytestmark = [
     pytest.mark.slow,
@@ -105,6 +107,7 @@ def test_replay_plays_and_scrubs(chromium, page: Path) -> None:
     visit = Visit(chromium, page, WIDE)
     sheet = visit.page
     sheet.wait_for_selector("#replay-app[data-scene='0']")
+    assert sheet.locator("h2").first.inner_text() == "Replay: the best and the worst context"
     before = pixels(sheet, "policy-map"), pixels(sheet, "baseline-timespace")
     scrub = sheet.get_by_label("Time of the episode")
     scrub.fill("150")
@@ -152,24 +155,81 @@ def test_counters_end_where_the_evaluation_does(chromium, page: Path, evaluation
     visit.close(page)
 
 
-@pytest.mark.parametrize(("size", "scheme"), [(WIDE, "light"), (PHONE, "dark")])
-def test_figures_are_drawn_and_nothing_overflows(chromium, tmp_path: Path, size, scheme) -> None:
-    made = folder(tmp_path / "results", table(SEVERAL).assign(task="salt_lake_city_paper"), "salt_lake_city_paper")
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page with every kind of chart, of made results."""
+    path = tmp_path_factory.mktemp("drawn") / "results"
+    made = folder(path, table(SEVERAL).assign(task="salt_lake_city_paper"), "salt_lake_city_paper")
     run = made / "train" / "ppo" / "seed0"
     run.mkdir(parents=True)
     (run / "metrics.csv").write_text("frames,return\n1000,-3\n2000,-2\n")
     (run / "validation.csv").write_text("frames,co2_saved,co2_saved_low,co2_saved_high\n1000,1,0.5,2\n")
     assert main([str(made), "replay=false"]) == 0
-    visit = Visit(chromium, made / "report.html", size, scheme)
-    width = visit.page.evaluate("document.documentElement.scrollWidth")
-    assert width <= size[0]
-    assert visit.page.locator(".plot svg").count() >= 10
+    return made / "report.html"
+
+
+def without_marks(page: Any) -> list[str]:
+    """Names of charts that have no mark, or none with a size."""
+    empty = """() => [...document.querySelectorAll('.plot')].filter(plot => {
+        const boxes = [...plot.querySelectorAll('svg use, svg path, svg circle')].map(e => e.getBoundingClientRect());
+        return boxes.filter(box => box.width + box.height > 0).length < 3;
+    }).map(plot => plot.getAttribute('aria-label'))"""
+    return page.evaluate(empty)
+
+
+def lightness(page: Any, selector: str, style: str) -> int:
+    """Sum of red, green and blue of a colour."""
+    script = "([selector, style]) => getComputedStyle(document.querySelector(selector))[style]"
+    return sum(int(part) for part in re.findall(r"\d+", page.evaluate(script, [selector, style]))[:3])
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", [WIDE, PHONE])
+def test_figures_are_drawn_and_nothing_overflows(chromium, drawn: Path, size, scheme) -> None:
+    visit = Visit(chromium, drawn, size, scheme)
+    sheet = visit.page
+    sheet.wait_for_selector("#rows tbody tr")
+    assert sheet.evaluate("document.documentElement.scrollWidth") <= size[0]
+    assert sheet.locator(".plot svg").count() >= 10
+    assert without_marks(sheet) == []
+    for link in sheet.locator("nav a").all():
+        box = link.bounding_box()
+        assert box["x"] >= 0 and box["x"] + box["width"] <= size[0] and box["height"] > 0
+    if size == WIDE:
+        tables = "[...document.querySelectorAll('.wide')].filter(e => e.scrollWidth > e.clientWidth)"
+        assert sheet.evaluate(f"{tables}.map(e => e.getAttribute('aria-label'))") in ([], ["Movements"])
+        assert [head.is_visible() for head in sheet.locator("#rows th[scope=col]").all()].count(True) == 6
+        sheet.get_by_role("checkbox", name="every figure").check()
+        assert [head.is_visible() for head in sheet.locator("#rows th[scope=col]").all()].count(True) > 15
     unnamed = "[...document.querySelectorAll('canvas, .plot')].filter(e => !e.getAttribute('aria-label')).length"
-    assert visit.page.evaluate(unnamed) == 0
-    ground = visit.page.evaluate("getComputedStyle(document.body).backgroundColor")
-    visit.page.get_by_label("Switch between light and dark").click()
-    assert visit.page.evaluate("getComputedStyle(document.body).backgroundColor") != ground
-    visit.close(made / "report.html")
+    assert sheet.evaluate(unnamed) == 0
+    contrast = abs(lightness(sheet, ".plot text", "fill") - lightness(sheet, ".chart", "backgroundColor"))
+    assert contrast > 380
+    ground = lightness(sheet, "body", "backgroundColor")
+    sheet.get_by_label("Switch between light and dark").click()
+    assert lightness(sheet, "body", "backgroundColor") != ground
+    visit.close(drawn)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_paper_is_light_and_whole(chromium, drawn: Path, scheme: str) -> None:
+    visit = Visit(chromium, drawn, PAPER, scheme)
+    sheet = visit.page
+    sheet.wait_for_selector("#rows tbody tr")
+    folded, ground = sheet.locator("details:not([open])").count(), lightness(sheet, "body", "backgroundColor")
+    sheet.emulate_media(media="print")
+    sheet.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert lightness(sheet, "body", "backgroundColor") == 3 * 255
+    assert lightness(sheet, ".plot text", "fill") < 200
+    assert folded > 0 and sheet.locator("details:not([open])").count() == 0
+    assert without_marks(sheet) == []
+    assert sheet.evaluate("document.documentElement.scrollWidth") <= PAPER[0]
+    assert not sheet.locator("nav").is_visible() and not sheet.get_by_label("Filter").is_visible()
+    sheet.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert sheet.locator("details:not([open])").count() == folded
+    assert lightness(sheet, "body", "backgroundColor") == ground
+    assert sheet.pdf(format="A4").count(b"/Type /Page\n") + 1 > 3
+    visit.close(drawn)
 
 
 def test_hostile_names_do_nothing(chromium, tmp_path: Path) -> None:

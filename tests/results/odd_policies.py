@@ -15,8 +15,7 @@ from tensordict import TensorDictBase
 
 def gentle(tensordict: TensorDictBase) -> TensorDictBase:
     """Everybody accelerates at 0.5 m/s^2."""
-    mask = tensordict["agents", "mask"]
-    return tensordict.set(("agents", "action"), torch.full((*mask.shape, 1), 0.5))
+    return everyone(tensordict, 0.5)
 
 
 def leftwards(tensordict: TensorDictBase) -> TensorDictBase:
@@ -27,8 +26,7 @@ def leftwards(tensordict: TensorDictBase) -> TensorDictBase:
 
 def lost(tensordict: TensorDictBase) -> TensorDictBase:
     """Every action is NaN."""
-    mask = tensordict["agents", "mask"]
-    return tensordict.set(("agents", "action"), torch.full((*mask.shape, 1), torch.nan))
+    return everyone(tensordict, torch.nan)
 
 
 def broken(tensordict: TensorDictBase) -> TensorDictBase:

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo import tasks
+from izoo.algos.learners.ddpg import DDPGConfig
+from izoo.algos.learners.ppo import PPOConfig
+from izoo.algos.learners.registry import make_algorithm
 from izoo.contexts.cities.rebuilt import CITIES
 from izoo.contexts.cities.weather import WEATHER_PUBLISHED, weather
 from izoo.contexts.procedural import SYSTEMATICITY_TEST
 from izoo.envs import EnvConfig, RewardConfig
+from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 
 IN_TOWN = [name for name in tasks.names() if "measured" not in name]
@@ -60,6 +68,17 @@ def test_the_paper_form_has_the_papers_decisions_and_reward_and_every_intersecti
     assert task.env.reward == RewardConfig.paper() and task.env.horizon_s == EnvConfig().horizon_s
     assert task.train.split == task.test.split == "all"  # type: ignore[union-attr]
     assert (task.train.city, task.test.city) == ("salt_lake_city", "atlanta")  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("config", [PPOConfig.paper(), DDPGConfig.paper()])
+def test_in_the_paper_form_an_untrained_policy_commands_the_middle_of_the_papers_range(config: Any) -> None:
+    env = EnvConfig()
+    policy = make_algorithm(config, tasks.make("salt_lake_city_paper").action, env).policy
+    shape = (2, env.num_agents)
+    observation = torch.zeros(*shape, len(observation_names(env)))
+    state = TensorDict({"agents": {"observation": observation, "mask": torch.ones(shape).bool()}}, [2])
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        assert torch.allclose(policy(state)["agents", "action"], torch.tensor(-5.0))
 
 
 def test_other_conditions_hold_in_every_role_and_stand_in_the_name(tmp_path) -> None:

@@ -6,7 +6,6 @@ import pytest
 
 from izoo.emissions.classes import CLASSES
 from izoo.emissions.tables import moves_file
-from izoo.errors import IzooError
 from izoo.traffic.drivers import built_in_population, mean_and_factor, sample_drivers
 from izoo.traffic.fleet import CLASS_SOURCE_TYPE, class_shares, lengths_m, sample_classes
 from izoo.traffic.sampling import sample_traffic
@@ -97,9 +96,3 @@ def test_a_fleet_of_ones_own() -> None:
     assert (sample_traffic(context.replace(fleet=(0.0, 0.0, 0.0, 1.0)), road, 0, 600.0).source_type == 42).all()
     assert context.replace(fleet=None).content_hash == context.content_hash
     assert context.replace(fleet=[1, 0, 0, 0]).content_hash != context.content_hash
-
-
-@pytest.mark.parametrize("fleet", [(1.0,), (0.5, 0.5, 0.5, 0.5), (1.2, -0.2, 0.0, 0.0)])
-def test_shares_that_are_no_fleet(fleet: tuple[float, ...]) -> None:
-    with pytest.raises(IzooError, match=r"the fleet is .*; give the shares of passenger cars, .* with a sum of 1"):
-        make_context(fleet=fleet)

@@ -17,14 +17,10 @@ import pytest
 import torch
 
 from izoo import files, train
-from izoo.conf.train_options import TrainConfig
-from izoo.console import exit_code
-from izoo.errors import IzooError, UnfinishedError
+from izoo.errors import IzooError
 from izoo.training import checkpoint, loggers, run_folder, run_state
 from izoo.training.learner import Learner, is_finite
-from izoo.training.watchdog import StepWatch, open_counts
-from tests.test_console import LOST
-from tests.training.toy import TOY
+from tests.training.toy import TOY, begun
 
 
 def frames_in(run_dir: Path) -> list[int]:
@@ -54,17 +50,6 @@ def test_a_run_is_trained_by_one_process_at_a_time(tmp_path: Path, capsys: pytes
     assert frames_in(run_dir) == [50, 100, 150]
 
 
-def test_of_two_starts_in_one_folder_the_second_is_refused(tmp_path: Path) -> None:
-    config = TrainConfig(run_dir=str(tmp_path / "run"))
-    with run_folder.created(config) as run_dir:
-        kept = (run_dir / run_folder.CONFIG_FILE).read_bytes()
-        with pytest.raises(IzooError, match="not empty"), run_folder.created(config):
-            pass
-        assert (run_dir / run_folder.CONFIG_FILE).read_bytes() == kept
-        (run_dir / run_folder.METRICS_FILE).touch()  # so that the folder is not taken for a start that failed
-    assert (tmp_path / "run").is_dir()
-
-
 @pytest.mark.parametrize(("existed", "others"), [(False, False), (True, False), (True, True)])
 def test_a_start_that_fails_removes_only_its_own_files(
     existed: bool, others: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -83,17 +68,6 @@ def test_a_start_that_fails_removes_only_its_own_files(
     one_line(capsys, "cannot be collected")
     left = {str(path.relative_to(run_dir)) for path in run_dir.rglob("*")}
     assert left == ({"notes.txt"} if others else set()) and run_dir.exists() == existed
-
-
-def test_runs_that_begin_in_one_second_have_folders_of_their_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    with contextlib.ExitStack() as stack:
-        folders = [stack.enter_context(run_folder.created(TrainConfig())) for _ in range(3)]
-        for folder in folders:
-            (folder / run_folder.METRICS_FILE).touch()
-    assert len({*folders}) == 3 == len(list((tmp_path / "runs").iterdir()))
 
 
 @pytest.mark.slow
@@ -171,22 +145,6 @@ def test_a_run_folder_that_is_removed_does_not_come_back(
     assert not run_dir.exists()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("how", LOST)
-def test_a_run_that_loses_its_output_trains_on(how: str, tmp_path: Path) -> None:
-    run_dir = tmp_path / "run"
-    words = ["-m", "izoo.train", *TOY, "total_frames=400", f"run_dir={run_dir}"]
-    with (
-        LOST[how]() as (output, lose),
-        subprocess.Popen([sys.executable, *words], stdout=output, stderr=output, start_new_session=True) as process,
-    ):
-        while not checkpoint.folder_of(run_dir).exists() and process.poll() is None:
-            time.sleep(0.05)
-        lose()
-        assert process.wait(200) == 0
-    assert frames_in(run_dir)[-1] == 400 == checkpoint.load(checkpoint.find(run_dir))["frames"]
-
-
 class Logger:
     """A logger that takes so many numbers and then fails, also at its end."""
 
@@ -213,79 +171,13 @@ def test_a_logger_that_fails_is_done_without(capsys: pytest.CaptureFixture[str])
     assert capsys.readouterr().err.count("Logger has failed (Connection lost); the run goes on without it.") == 2
 
 
-KILL_HELPER = """
-import os, signal, sys
-from pathlib import Path
-from izoo import train
-from izoo.training.learner import Learner
-
-real, killed = Learner.update, []
-
-def update(self, batch, progress):
-    children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
-    for pid in children if progress > 0 else ():
-        if b"wandb-core" in Path(f"/proc/{pid}/cmdline").read_bytes():
-            os.kill(int(pid), signal.SIGKILL)
-            killed.append(pid)
-    return real(self, batch, progress)
-
-Learner.update = update
-code = train.main(sys.argv[1:])
-sys.exit(code if killed else 9)
-"""
-
-
-@pytest.mark.slow
-def test_a_run_whose_helper_of_wandb_is_killed_goes_on(tmp_path: Path) -> None:
-    run_dir = tmp_path / "run"
-    words = [*TOY, "total_frames=400", "logger=wandb", f"run_dir={run_dir}"]
-    command = [sys.executable, "-c", KILL_HELPER, *words]
-    environment = {**os.environ, "WANDB_MODE": "offline"}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=200, env=environment)
-    assert done.returncode == 0 and "WandbLogger has failed" in done.stderr
-    assert frames_in(run_dir)[-1] == 400
-
-
-def test_processes_that_take_no_step_are_ended_while_their_batch_is_awaited() -> None:
-    """All of them: one that is stopped keeps the batch from coming, and nobody can see which one it is."""
-    sleepers = [subprocess.Popen(["sleep", "60"]) for _ in range(2)]
-    pids = [process.pid for process in sleepers]
-    watch = StepWatch(2, patience_s=0.4)
-    counts = open_counts(watch.path, 2)
-    try:
-        with watch.over(pids):  # the first batch may take longer
-            time.sleep(0.8)
-        assert not watch.ended
-        with watch.over(pids):
-            for _ in range(6):
-                counts[1] += 1
-                time.sleep(0.15)
-            assert not watch.ended
-            assert [process.wait(10) for process in sleepers] == [-signal.SIGKILL] * 2
-        assert watch.ended
-    finally:
-        watch.close()
-        for process in sleepers:
-            process.kill()
-            process.wait()
-    assert not watch.path.exists()
-
-
 @pytest.mark.slow
 def test_a_stopped_process_ends_a_multisync_run_in_the_time_of_the_watchdog(tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     words = [word for word in TOY if not word.startswith(("collector", "total_frames"))]
     words += ["collector=multisync", "num_workers=2", "total_frames=100000000", "env.watchdog_s=4"]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "izoo.train", *words, f"run_dir={run_dir}"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    process = begun(run_dir, words, lambda: checkpoint.listed(run_dir))
     try:
-        deadline = time.monotonic() + 200
-        while not checkpoint.listed(run_dir) and process.poll() is None and time.monotonic() < deadline:
-            time.sleep(0.1)
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
         collecting = [int(pid) for pid in children if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
         assert len(collecting) == 2
@@ -300,11 +192,3 @@ def test_a_stopped_process_ends_a_multisync_run_in_the_time_of_the_watchdog(tmp_
     finally:
         process.kill()
         process.wait()
-
-
-def test_unfinished_work_is_one_sentence_and_exit_code_1(capsys: pytest.CaptureFixture[str]) -> None:
-    def work() -> int:
-        raise UnfinishedError("the disk is full; make room.")
-
-    assert exit_code("train", work) == 1
-    assert capsys.readouterr().err == "izoo train: the disk is full; make room.\n"

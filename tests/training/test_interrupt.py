@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +18,7 @@ from izoo.training.learner import Learner
 from izoo.training.loggers import MetricsTable
 from izoo.training.run_folder import METRICS_FILE
 from izoo.training.session import Session
-from tests.training.toy import TOY
-
-CHILD = "import sys; print('up', flush=True); sys.stdin.readline(); print('alive')"
+from tests.training.toy import TOY, begun
 
 
 def test_an_interrupt_while_workers_start_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
@@ -32,17 +29,6 @@ def test_an_interrupt_while_workers_start_is_kept(capsys: pytest.CaptureFixture[
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
     assert "saving the run" in capsys.readouterr().err
-
-
-def test_workers_do_not_see_interrupts() -> None:
-    with workers_ignore_interrupts():
-        child = subprocess.Popen(
-            [sys.executable, "-c", CHILD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-        )
-    assert child.stdout is not None and child.stdout.readline() == b"up\n"
-    child.send_signal(signal.SIGINT)
-    answer, complaints = child.communicate(b"\n", timeout=30)
-    assert (answer, complaints, child.returncode) == (b"alive\n", b"", 0)
 
 
 def test_processes_of_multiprocessing_do_not_see_interrupts() -> None:
@@ -73,15 +59,7 @@ def test_sigterm_saves_the_run(collector: str, tmp_path: Path) -> None:
     run_dir = tmp_path / "run"
     words = [word for word in TOY if not word.startswith(("collector", "total_frames", "checkpoint"))]
     words += [f"collector={collector}", "total_frames=100000000", "checkpoint.every_batches=100000"]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "izoo.train", *words, f"run_dir={run_dir}"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    deadline = time.monotonic() + 200
-    while process.poll() is None and time.monotonic() < deadline and not MetricsTable.read(run_dir / METRICS_FILE).rows:
-        time.sleep(0.1)
+    process = begun(run_dir, words, lambda: MetricsTable.read(run_dir / METRICS_FILE).rows)
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
     for pid in (*map(int, children), process.pid, process.pid):
         os.kill(pid, signal.SIGTERM)

@@ -84,20 +84,6 @@ def test_new_levels_come_in_order_until_half_are_known_and_then_in_their_share()
     assert len(levels.scores) == 40 and set(levels.scores.values()) == {6.0}, "those with the greatest scores are kept"
 
 
-def test_what_is_drawn_again_goes_by_score_and_age() -> None:
-    levels = make(kept=4, share=1.0, temperature=0.5, staleness=0.25)
-    for episode in range(2):
-        play(levels, episode, 1.0)
-    levels.scores = {0: 4.0, 1: 3.0, 2: 2.0, 3: 1.0}
-    drawn = np.zeros(4)
-    for begun in range(10, 4010):
-        fresh = copy.deepcopy(levels)
-        fresh.begun, fresh._played = begun, {0: begun - 1, 1: begun - 1, 2: begun - 1, 3: begun - 5}
-        drawn[fresh.level(99)] += 1
-    expected = replay_probabilities(np.array([4.0, 3.0, 2.0, 1.0]), np.array([1, 1, 1, 5]), 0.5, 0.25)
-    np.testing.assert_allclose(drawn / 4000, expected, atol=0.03)
-
-
 def test_a_level_under_way_is_not_drawn_beside() -> None:
     levels = make(kept=2, share=1.0)
     for episode in range(2):
@@ -105,17 +91,6 @@ def test_a_level_under_way_is_not_drawn_beside() -> None:
     levels.draw(range(2, 6))
     drawn = [levels.level(episode) for episode in range(2, 6)]
     assert sorted(drawn[:2]) == [0, 1] and drawn[2:] == [2, 3]
-
-
-def test_a_level_is_the_same_episode_every_time() -> None:
-    levels = make(kept=2, share=1.0)
-    first = levels(0)
-    play(levels, 0, 9.0)
-    again = next(episode for episode in range(1, 50) if play(levels, episode, 1.0) == 0)
-    assert again > 0
-    levels._level_of[100] = 0
-    context, seed = levels(100)
-    assert seed == first[1] and context.content_hash == first[0].content_hash
 
 
 def test_state_restores_the_very_next_draws() -> None:

@@ -5,9 +5,6 @@ from __future__ import annotations
 import dataclasses
 import os
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -23,10 +20,11 @@ from izoo.envs.config import EnvConfig
 from izoo.envs.env import EcoDrivingBase
 from izoo.envs.mdp.frame import TOTALS
 from izoo.errors import IzooError
-from izoo.training import checkpoint, loop, run_folder
+from izoo.training import checkpoint, run_folder
 from izoo.training.command_replay import EpisodeHistories, EpisodeHistory
 from izoo.training.environments import TrainingEnv, training_class
 from tests.training import toy
+from tests.training.toy import begun
 
 TOY = [
     *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "contexts.adoption=1.0", "env.horizon_s=100"),
@@ -56,19 +54,11 @@ def flat(state: object, prefix: str = "") -> dict[str, object]:
 
 def kill_in_batch(run_dir: Path, words: list[str], batch: int, frames_per_batch: int = 200) -> None:
     """Start a run and kill it with SIGKILL once ``batch - 1`` checkpoints have been written."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "izoo.train", *words, f"run_dir={run_dir}"],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-    )
     awaited = checkpoint.folder_of(run_dir) / f"step-{(batch - 1) * frames_per_batch:012d}.pt"
-    deadline = time.monotonic() + 120
-    while not awaited.exists() and process.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.002)
+    process = begun(run_dir, words, awaited.exists)
     os.killpg(process.pid, signal.SIGKILL)
     _, error = process.communicate(timeout=30)
-    assert awaited.exists(), error.decode()
+    assert awaited.exists(), error
     newest = checkpoint.load(checkpoint.find(run_dir))["frames"]
     assert newest < 1200, "the run was over before it was killed"
 
@@ -129,10 +119,9 @@ def test_an_option_that_is_changed_leaves_the_others_of_its_group_as_they_were(t
     ]
     stored = compose_config(TrainConfig, words)
     run_folder.write_config(tmp_path, stored)
-    given = [f"resume={tmp_path}", "twin.threads=1", "validation.every_batches=2", "num_envs=5", "collector=parallel"]
-    names = frozenset(word.partition("=")[0] for word in given)
-    found, state, _ = loop._resumed(compose_config(TrainConfig, given), names, tmp_path)
-    assert state is None and found == run_folder.read_config(tmp_path)
+    changed = ["twin.threads=1", "validation.every_batches=2", "num_envs=5", "collector=parallel"]
+    found = train.COMMAND.compose([f"resume={tmp_path}", *changed])
+    assert (found.resume, found.run_dir) == (str(tmp_path), str(tmp_path))
     assert found.twin == dataclasses.replace(stored.twin, threads=1)
     assert (found.validation.every_batches, found.validation.contexts, found.num_envs) == (2, 3, 5)
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import pytest
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torchrl.collectors import Collector
 from torchrl.envs import EnvBase, RewardScaling, TransformedEnv
@@ -25,8 +25,6 @@ from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.context import Context
 from izoo.envs import EnvConfig
-from izoo.envs.config import KEEP_LANE
-from izoo.errors import IzooError
 from izoo.training import collectors
 from izoo.training.environments import TrainingEnv, training_class
 from tests.envs.worlds import crossing
@@ -141,55 +139,6 @@ def test_new_weights_are_noticed() -> None:
         action = second[ACTION][second[MASK]]
         assert len(action) > 0 and (action == action[0]).all()
         assert (second[MASK][:, 1:] == second["next"][MASK][:, :-1])[~second["next", "done"][:, :-1, 0]].all()
-
-
-class Changing(TensorDictModuleBase):
-    """Drives on, and changes lanes to ``lane_change``."""
-
-    def __init__(self, lane_change: int) -> None:
-        super().__init__()
-        self.in_keys, self.out_keys = [MASK], [ACTION, ("agents", "lane_change")]
-        self.lane_change = lane_change
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        mask = tensordict.get(MASK)
-        tensordict.set(("agents", "lane_change"), torch.full(mask.shape, KEEP_LANE).masked_fill(mask, self.lane_change))
-        return tensordict.set(ACTION, torch.ones(*mask.shape, 1))
-
-
-def test_lane_changes_are_commanded_and_checked() -> None:
-    config = EnvConfig(horizon_s=60.0, num_agents=16, lane_change=True)
-    seen = []
-    for lane_change in (KEEP_LANE, 2):
-        with collecting(Changing(lane_change), config) as collector:
-            seen.append(next(iter(collector))["agents", "observation"].clone())
-    assert not torch.equal(*seen)
-    illegal = pytest.raises(IzooError, match=r"'lane_change'\) is torch.int64 of shape .* with the values")
-    with collecting(Changing(7), config) as collector, illegal:
-        list(zip(range(2), collector, strict=False))
-
-
-class Deferring(TensorDictModuleBase):
-    """Leaves every other slot to SUMO, where the flags are not all 0, and brakes with the others."""
-
-    def __init__(self, kind: torch.dtype, flag: int) -> None:
-        super().__init__()
-        self.in_keys, self.out_keys = [MASK], [ACTION, ("agents", "defer")]
-        self.kind, self.flag = kind, flag
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        mask = tensordict.get(MASK)
-        flags = (torch.arange(mask.shape[-1]) % 2 * self.flag).expand(mask.shape).to(self.kind)
-        tensordict.set(("agents", "defer"), flags)
-        return tensordict.set(ACTION, -torch.ones(*mask.shape, 1))
-
-
-def test_flags_of_any_type_defer() -> None:
-    seen = []
-    for kind, flag in ((torch.bool, 1), (torch.float32, 3), (torch.bool, 0)):
-        with collecting(Deferring(kind, flag)) as collector:
-            seen.append(next(iter(collector))["agents", "observation"].clone())
-    assert torch.equal(seen[0], seen[1]) and not torch.equal(seen[0], seen[2])
 
 
 @pytest.mark.slow

@@ -30,6 +30,7 @@ from izoo.results.rollout import DRAIN_S
 from izoo.training import checkpoint, run_folder, validation
 from izoo.training.validation import Validator, shown_worse
 from izoo.training.validation_rollout import CONTEXTS, held_out
+from tests.training.toy import begun
 
 TOY = [
     *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "contexts.lane_length_m=120", "env.horizon_s=75"),
@@ -160,13 +161,6 @@ def test_a_best_checkpoint_of_the_future_is_forgotten(tmp_path: Path) -> None:
         assert (checkpoint.best_of(tmp_path) is not None) == kept
 
 
-def test_a_forgotten_best_checkpoint_is_replaced_by_the_next(tmp_path: Path) -> None:
-    (tmp_path / validation.VALIDATION_FILE).write_text("frames,co2_saved,best\n200,0.5,1.0\n300,0.6,1.0\n")
-    checkpoint.make_best(checkpoint.make_candidate(checkpoint.save(tmp_path, 300, {"algorithm": {}}, keep=1)))
-    assert not Validator(TrainConfig(), tmp_path, frames=300)._is_best({"co2_saved": 0.4})
-    assert Validator(TrainConfig(), tmp_path, frames=250)._is_best({"co2_saved": 0.4})
-
-
 def test_weights_whose_commands_are_nan_are_never_the_best(tmp_path: Path) -> None:
     """Their saving is that of the simulator's own driver."""
     validator = Validator(TrainConfig(), tmp_path)
@@ -218,13 +212,8 @@ def test_processes_import_what_the_run_does(tmp_path: Path) -> None:
 def test_ctrl_c_does_not_wait_for_validation(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     words = [word for word in TOY if not word.startswith("validation")]
-    words += ["total_frames=100000000", "validation.every_batches=1", "validation.seeds=1000", f"run_dir={folder}"]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "izoo.train", *words], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
-    )
-    deadline = time.monotonic() + 120
-    while not checkpoint.candidates(folder) and process.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.05)
+    words += ["total_frames=100000000", "validation.every_batches=1", "validation.seeds=1000"]
+    process = begun(folder, words, lambda: checkpoint.candidates(folder))
     os.kill(process.pid, signal.SIGINT)
     _, error = process.communicate(timeout=60)
     assert process.returncode == 130, error
@@ -260,12 +249,6 @@ def told_apart(places: int, validations: int, loss: float, runs: int) -> float:
 @pytest.mark.parametrize("validations", [1, 5, 20])
 def test_two_equal_policies_are_told_apart_in_fewer_than_a_tenth_of_runs(places: int, validations: int) -> None:
     assert told_apart(places, validations, 0.0, 400) < 0.1
-
-
-def test_what_the_numbers_of_contexts_find() -> None:
-    """The losses that ``training.md`` names are found in about half of all runs."""
-    for places, validations, loss in ((ValidationConfig().contexts, 5, 0.043), (16, 5, 0.021), (16, 20, 0.027)):
-        assert told_apart(places, validations, loss, 400) == pytest.approx(0.5, abs=0.12)
 
 
 def _saved(values: np.ndarray) -> dict[str, list[object]]:

@@ -15,14 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from izoo.envs.twin.driving.traffic_lights import LOWER_CASE, UPPER_CASE, is_major
+from izoo.envs.twin.net.tables import NetTables
 from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
-    EDGE_FIRST_LANE,
-    EDGE_LANES,
     LANE_EDGE,
-    LANE_FIRST_LINK,
     LANE_INSIDE,
-    LANE_LENGTH,
     LANE_LINKS,
     LINK_NEXT,
     LINK_PROGRAM,
@@ -52,7 +49,7 @@ class BestTables(NamedTuple):
             of inside lanes: of the lane behind the junction.
         best_offset: ``[X, L]`` int32, lanes to change (positive: to the left) to the best lane.
         best_link: ``[X, L]`` int32, the link to continue by; -1 if there is none, or the route ends.
-        best_open: ``[X, L]`` bool: the lane at which the way ends (the route's end, or a dead end) has links.
+        best_open: ``[X, L]`` uint8: 1 where the lane at which the way ends (the route's end, or a dead end) has links.
         best_road: ``[X, L]`` int32, the lane behind the junction to which that link leads; -1 where there is none.
     """
 
@@ -68,46 +65,30 @@ class BestTables(NamedTuple):
     best_road: np.ndarray
 
 
-class NetTables(NamedTuple):
-    """The tables of a net that are needed here, as in :class:`~izoo.envs.twin.runtime.layout.TwinNet`."""
+class Signals(NamedTuple):
+    """The signals of :class:`~izoo.envs.twin.runtime.layout.TwinNet`, by the same names."""
 
-    lane_floats: np.ndarray
-    lane_ints: np.ndarray
-    edge_ints: np.ndarray
-    link_ints: np.ndarray
     program_ints: np.ndarray
     phase_ints: np.ndarray
     phase_letters: np.ndarray
 
-    def lanes_of(self, edge: int) -> range:
-        first = int(self.edge_ints[edge, EDGE_FIRST_LANE])
-        return range(first, first + int(self.edge_ints[edge, EDGE_LANES]))
 
-    def links_of(self, lane: int) -> range:
-        first = int(self.lane_ints[lane, LANE_FIRST_LINK])
-        return range(first, first + int(self.lane_ints[lane, LANE_LINKS]))
-
-    def links_between(self, edge: int, after: int) -> list[int]:
-        onward = set(self.lanes_of(after))
-        links = (link for lane in self.lanes_of(edge) for link in self.links_of(lane))
-        return [link for link in links if int(self.link_ints[link, LINK_TO]) in onward]
-
-
-def tabulate_best_lanes(net: NetTables, route_edges: np.ndarray) -> BestTables:
+def tabulate_best_lanes(net: NetTables, signals: Signals, route_edges: np.ndarray) -> BestTables:
     """Tabulate all variants of all routes ``route_edges`` ``[R, E]`` (-1: none).
 
     Raises:
         IzooError: a route has more variants than the tables hold.
     """
-    count, lane_count = len(route_edges), len(net.lane_ints)
+    count, lane_count = len(route_edges), len(net.lanes)
     first, number = np.zeros(count, np.int32), np.zeros(count, np.int32)
     links = np.full((count, MAX_CHECKED_LINKS), -1, np.int32)
     group = np.full((count, MAX_CHECKED_LINKS), -1, np.int32)
     bits: list[int] = []
-    rows: list[tuple[np.ndarray, ...]] = []
-    for route, padded in enumerate(route_edges):
-        edges = [int(edge) for edge in padded if edge >= 0]
-        checked, patterns = _patterns(net, edges)
+    rows: list[_Row] = []
+    choices = _Choices(net, signals)
+    for route, padded in enumerate(route_edges.tolist()):
+        edges = [edge for edge in padded if edge >= 0]
+        checked, patterns = _patterns(net, choices, edges)
         for k, (link, group_of) in enumerate(checked):
             links[route, k], group[route, k] = link, group_of
         first[route], number[route] = len(rows), len(patterns)
@@ -115,33 +96,46 @@ def tabulate_best_lanes(net: NetTables, route_edges: np.ndarray) -> BestTables:
             bits.append(sum(1 << k for k, has_priority in enumerate(pattern) if has_priority))
             priority = {link: has_priority for (link, _), has_priority in zip(checked, pattern, strict=True)}
             rows.append(_best_lanes(net, edges, priority))
-    columns = [np.stack(column) for column in zip(*rows, strict=True)] if rows else _no_rows(lane_count)
+    columns = [
+        np.array([row[k] for row in rows], dtype).reshape(-1, lane_count)
+        for k, dtype in enumerate((np.float64, np.int32, np.int32, np.uint8, np.int32))
+    ]
     return BestTables(first, number, links, group, np.array(bits, np.int64), *columns)
 
 
-def _no_rows(lane_count: int) -> list[np.ndarray]:
-    shape = (0, lane_count)
-    return [np.zeros(shape, dtype) for dtype in (np.float64, np.int32, np.int32, bool, np.int32)]
+class _Choices(dict[tuple[int, int], list[tuple[bool, ...]]]):
+    """Which patterns of priorities the links from one edge to another show, each once."""
+
+    def __init__(self, net: NetTables, signals: Signals) -> None:
+        self.net = net
+        self.program_ints: list[list[int]] = signals.program_ints.tolist()
+        self.phase_ints: list[list[int]] = signals.phase_ints.tolist()
+        self.letters = signals.phase_letters.tobytes()
+
+    def __missing__(self, edges: tuple[int, int]) -> list[tuple[bool, ...]]:
+        links = [self.net.links[link] for link in self.net.links_between(*edges)]
+        shown = [
+            [_is_major(self._letter(link, program, phase)) for link in links]
+            for program in {link[LINK_PROGRAM] for link in links}
+            if program >= 0
+            for phase in self._phases(program)
+        ]
+        found = list(dict.fromkeys(map(_relevant_bits, shown or [[_is_major(link[LINK_STATE]) for link in links]])))
+        self[edges] = found
+        return found
+
+    def _phases(self, program: int) -> range:
+        first = self.program_ints[program][PROGRAM_FIRST_PHASE]
+        return range(first, first + self.program_ints[program][PROGRAM_PHASES])
+
+    def _letter(self, link: list[int], program: int, phase: int) -> int:
+        if link[LINK_PROGRAM] != program:
+            return link[LINK_STATE]
+        return self.letters[self.phase_ints[phase][PHASE_STATE] + link[LINK_SIGNAL]]
 
 
-def _patterns(net: NetTables, edges: Sequence[int]) -> tuple[list[tuple[int, int]], list[tuple[bool, ...]]]:
-    """Return the links ``(link, group)`` whose priorities can differ, and the patterns that the signals can show."""
-    checked: list[tuple[int, int]] = []
-    choices: list[list[tuple[bool, ...]]] = []
-    for number, (edge, after) in enumerate(itertools.pairwise(edges)):
-        links = net.links_between(edge, after)
-        seen = dict.fromkeys(_relevant_bits(bits) for bits in _shown(net, links))
-        if len(seen) < 2 and not any(any(pattern) for pattern in seen):
-            continue
-        checked += [(link, number) for link in links]
-        choices.append(list(seen))
-    variants = math.prod(len(choice) for choice in choices)
-    if len(checked) > MAX_CHECKED_LINKS or variants > _MAX_VARIANTS:
-        raise IzooError(
-            f"a route passes {len(checked)} links whose priorities differ, in {variants} patterns, and the twin holds "
-            f"{MAX_CHECKED_LINKS} and {_MAX_VARIANTS}; use SUMO."
-        )
-    return checked, [tuple(itertools.chain(*parts)) for parts in itertools.product(*choices)]
+def _is_major(letter: int) -> bool:
+    return UPPER_CASE <= letter < LOWER_CASE
 
 
 def _relevant_bits(bits: Sequence[bool]) -> tuple[bool, ...]:
@@ -149,43 +143,51 @@ def _relevant_bits(bits: Sequence[bool]) -> tuple[bool, ...]:
     return tuple(bits) if any(bits) and not all(bits) else (False,) * len(bits)
 
 
-def _shown(net: NetTables, links: Sequence[int]) -> list[list[bool]]:
-    """Return whether each link has priority, for every phase of the signals that control ``links``."""
-    programs = {int(net.link_ints[link, LINK_PROGRAM]) for link in links}
-    shown = []
-    for program in programs:
-        if program < 0:
+def _patterns(
+    net: NetTables, choices: _Choices, edges: Sequence[int]
+) -> tuple[list[tuple[int, int]], list[tuple[bool, ...]]]:
+    """Return the links ``(link, group)`` whose priorities can differ, and the patterns that the signals can show."""
+    checked: list[tuple[int, int]] = []
+    chosen: list[list[tuple[bool, ...]]] = []
+    for number, pair in enumerate(itertools.pairwise(edges)):
+        seen = choices[pair]
+        if len(seen) < 2 and not any(any(pattern) for pattern in seen):
             continue
-        start = int(net.program_ints[program, PROGRAM_FIRST_PHASE])
-        phases = range(start, start + int(net.program_ints[program, PROGRAM_PHASES]))
-        shown += [[_has_priority(net, link, program, phase) for link in links] for phase in phases]
-    return shown or [[_has_priority(net, link, -2, 0) for link in links]]
+        checked += [(link, number) for link in net.links_between(*pair)]
+        chosen.append(seen)
+    variants = math.prod(len(choice) for choice in chosen)
+    if len(checked) > MAX_CHECKED_LINKS or variants > _MAX_VARIANTS:
+        raise IzooError(
+            f"a route passes {len(checked)} links whose priorities differ, in {variants} patterns, and the twin holds "
+            f"{MAX_CHECKED_LINKS} and {_MAX_VARIANTS}; use SUMO."
+        )
+    return checked, [tuple(itertools.chain(*parts)) for parts in itertools.product(*chosen)]
 
 
-def _has_priority(net: NetTables, link: int, program: int, phase: int) -> bool:
-    letter = int(net.link_ints[link, LINK_STATE])
-    if net.link_ints[link, LINK_PROGRAM] == program:
-        letter = int(net.phase_letters[net.phase_ints[phase, PHASE_STATE] + net.link_ints[link, LINK_SIGNAL]])
-    return UPPER_CASE <= letter < LOWER_CASE
+class _Row(NamedTuple):
+    """The last columns of :class:`BestTables` for one pattern of priorities, each ``[L]``."""
+
+    length: list[float]
+    offset: list[int]
+    link: list[int]
+    is_open: list[bool]
+    road: list[int]
 
 
-def _best_lanes(net: NetTables, edges: Sequence[int], priority: dict[int, bool]) -> tuple[np.ndarray, ...]:
-    """Return the last columns of :class:`BestTables` ``[L]`` for one pattern of priorities, from the end backwards."""
-    lane_count = len(net.lane_ints)
-    length, offset = np.zeros(lane_count), np.zeros(lane_count, np.int32)
-    link, is_open = np.full(lane_count, -1, np.int32), np.zeros(lane_count, bool)
-    last = list(net.lanes_of(edges[-1]))
-    length[last] = net.lane_floats[last, LANE_LENGTH]
-    is_open[last] = net.lane_ints[last, LANE_LINKS] > 0
+def _best_lanes(net: NetTables, edges: Sequence[int], priority: dict[int, bool]) -> _Row:
+    """Return the row of one pattern of priorities, which is filled from the route's end backwards."""
+    count = len(net.lanes)
+    row = _Row([0.0] * count, [0] * count, [-1] * count, [False] * count, [])
+    length, offset, link, is_open, _ = row
+    for lane in net.lanes_of(edges[-1]):
+        length[lane], is_open[lane] = net.length_m[lane], net.lanes[lane][LANE_LINKS] > 0
     for edge, after in reversed(list(itertools.pairwise(edges))):
         ways = net.links_between(edge, after)
-        reached = net.link_ints[ways, LINK_TO]
-        connected = length[reached].max(initial=-1.0)
-        longest = length[list(net.lanes_of(after))].max()
+        connected = max((length[net.links[way][LINK_TO]] for way in ways), default=-1.0)
+        longest = max(length[lane] for lane in net.lanes_of(after))
         for lane in net.lanes_of(edge):
-            length[lane] = net.lane_floats[lane, LANE_LENGTH]
-            is_open[lane] = net.lane_ints[lane, LANE_LINKS] > 0
-            onward = [(int(net.link_ints[way, LINK_TO]), way) for way in ways if way in net.links_of(lane)]
+            length[lane], is_open[lane] = net.length_m[lane], net.lanes[lane][LANE_LINKS] > 0
+            onward = [(net.links[way][LINK_TO], way) for way in ways if way in net.links_of(lane)]
             if not onward:
                 continue
             # The longest, then the one with fewest changes ahead, then the rightmost.
@@ -194,51 +196,35 @@ def _best_lanes(net: NetTables, edges: Sequence[int], priority: dict[int, bool])
             near = length[target] == connected and abs(offset[target]) < 2
             length[lane] += longest if near else length[target]
             offset[lane], is_open[lane] = offset[target], is_open[target]
-        inside = [_inside_lanes(net, way) for way in ways]
-        for way, lanes in zip(ways, inside, strict=True):
-            _describe_inside(net, int(net.link_ints[way, LINK_TO]), lanes, (length, offset, link, is_open))
-        _point_to_best(net.lanes_of(edge), net, priority, (length, offset, link))
-    return length, offset, link, is_open, _roads_behind(net, link)
+        for way in ways:
+            for lane in net.inside_lanes(way):
+                _describe_inside(net, net.links[way][LINK_TO], lane, row)
+        _point_to_best(net.lanes_of(edge), net, priority, row)
+    row.road.extend(_road_behind(net, lane, link) for lane in range(count))
+    return row
 
 
-def _roads_behind(net: NetTables, link: np.ndarray) -> np.ndarray:
-    """Return the next lane outside of junctions from every lane, -1 if there is none, ``[L]``."""
-    onward = np.where(link < 0, -1, net.link_ints[link, LINK_NEXT])
-    inside = net.lane_ints[:, LANE_INSIDE] == 1
-    while (between := (onward >= 0) & inside[onward]).any():
-        onward = np.where(between, onward[onward], onward)
-    return onward.astype(np.int32)
+def _road_behind(net: NetTables, lane: int, link: list[int]) -> int:
+    """Return the next lane outside of junctions from a lane, -1 if there is none."""
+    while link[lane] >= 0:
+        lane = net.links[link[lane]][LINK_NEXT]
+        if not net.lanes[lane][LANE_INSIDE]:
+            return lane
+    return -1
 
 
-def _inside_lanes(net: NetTables, way: int) -> list[int]:
-    """Return the lanes inside the junction behind link ``way``."""
-    lanes, lane = [], int(net.link_ints[way, LINK_NEXT])
-    while net.lane_ints[lane, LANE_INSIDE]:
-        lanes.append(lane)
-        lane = int(net.link_ints[net.links_of(lane)[0], LINK_NEXT])
-    return lanes
+def _describe_inside(net: NetTables, target: int, lane: int, row: _Row) -> None:
+    """Describe a lane inside a junction like the lane behind it, with offsets within the inside edge."""
+    siblings = net.lanes_of(net.lanes[lane][LANE_EDGE])
+    row.length[lane], row.is_open[lane], row.link[lane] = row.length[target], row.is_open[target], net.links_of(lane)[0]
+    row.offset[lane] = min(max(row.offset[target], siblings[0] - lane), siblings[-1] - lane)
 
 
-def _describe_inside(net: NetTables, target: int, lanes: Sequence[int], tables: tuple[np.ndarray, ...]) -> None:
-    """Describe lanes inside a junction like the lane behind it, with offsets within the inside edge."""
-    length, offset, link, is_open = tables
-    for lane in lanes:
-        siblings = net.lanes_of(int(net.lane_ints[lane, LANE_EDGE]))
-        length[lane], is_open[lane], link[lane] = length[target], is_open[target], net.links_of(lane)[0]
-        offset[lane] = np.clip(offset[target], siblings[0] - lane, siblings[-1] - lane)
-
-
-def _point_to_best(
-    lanes: range, net: NetTables, priority: dict[int, bool], tables: tuple[np.ndarray, np.ndarray, np.ndarray]
-) -> None:
+def _point_to_best(lanes: range, net: NetTables, priority: dict[int, bool], row: _Row) -> None:
     """Set the offsets of an edge's lanes to the nearest of the best lanes."""
-    length, offset, link = tables
-
-    def rank(lane: int) -> tuple[float, int, int]:
-        return float(length[lane]), -abs(int(offset[lane])), level[lane]
-
-    level = {lane: -1 if link[lane] < 0 else int(priority.get(int(link[lane]), False)) for lane in lanes}
-    ranks = {lane: rank(lane) for lane in lanes}
+    length, offset = row.length, row.offset
+    level = {lane: -1 if row.link[lane] < 0 else int(priority.get(row.link[lane], False)) for lane in lanes}
+    ranks = {lane: (length[lane], -abs(offset[lane]), level[lane]) for lane in lanes}
     top = max(ranks.values())
     best = [lane for lane in lanes if ranks[lane] == top]
     for lane in lanes:
@@ -248,7 +234,7 @@ def _point_to_best(
         ends = (best[0], best[-1])
         offset[lane] = (ends[0] if abs(ends[0] - lane) < abs(ends[1] - lane) else ends[1]) - lane
         if level[lane] < top[2]:
-            length[lane] = net.lane_floats[lane, LANE_LENGTH]
+            length[lane] = net.length_m[lane]
 
 
 @compiled

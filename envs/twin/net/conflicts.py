@@ -7,13 +7,13 @@ junction foes that SUMO reports for many pairs of ways (see the tests).
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import defaultdict
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from izoo.envs.twin.net.polylines import Polylines
 from izoo.envs.twin.runtime.layout import (
     LANE_EDGE,
     LANE_INSIDE,
@@ -38,10 +38,8 @@ conflict on it; the same on the other way (:data:`NOWHERE` where that way ends b
 0 on straight ways and in sharp right turns, where SUMO does not use it."""
 
 NOWHERE = 10000.0
-APART_M = 2.5
-"""Two ways that come from one lane, or lead to one, are in conflict up to this distance between them."""
 _APART_BEFORE_M = 0.1
-"""Ways that are :data:`APART_M` apart at least this far before a waiting point are not in conflict behind it."""
+"""Ways that have diverged at least this far before a waiting point are not in conflict behind it."""
 _LEAST_SINE = 0.2
 
 
@@ -84,40 +82,36 @@ def find_conflicts(root: Any, lane_rows: dict[str, int], ways: Ways) -> Conflict
         lane_rows: rows of lanes by name.
         ways: tables; ``responses`` and ``foes`` by entry link.
     """
-    links = ways.link_ints
+    search = _Search(ways)
+    links, lanes_of, entry_of = search.links, search.lanes_of, search.entry_of
     inner = _inner_junctions(root, lane_rows)
-    lanes_of = {row: _lanes_behind(ways, row) for row in range(len(links)) if _enters(ways, row)}
-    entry_of = {lane: row for row, lanes in lanes_of.items() for lane in lanes}
     same_origin: dict[int, list[int]] = defaultdict(list)
     for row in lanes_of:
-        same_origin[int(links[row, LINK_FROM])].append(row)
-    first, count = np.zeros((2, len(links)), np.int32)
+        same_origin[links[row][LINK_FROM]].append(row)
     wait_first, wait_count = np.zeros((2, len(links)), np.int32)
-    rows: list[tuple[list[int], list[float]]] = []
+    pairs_of: dict[int, list[_Pair]] = {}
     wait_foes: list[int] = []
     for entry, lanes in lanes_of.items():
-        siblings = [lane for row in same_origin[int(links[entry, LINK_FROM])] if row != entry for lane in lanes_of[row]]
+        siblings = [lane for row in same_origin[links[entry][LINK_FROM]] if row != entry for lane in lanes_of[row]]
         crossed = [lane for row in sorted(ways.foes.get(entry, ())) for lane in reversed(lanes_of.get(row, []))]
         for place, lane in enumerate(lanes):
-            row = _link_behind(ways, lane)
-            waits = place + 1 < len(lanes)
+            row = search.behind[lane]
             if len(lanes) > 1:
                 incoming, inside = inner.get(lanes[-1], ([], []))
                 crossed = list(dict.fromkeys(k for w in inside for k in (w, *lanes_of[entry_of[w]]) if w in entry_of))
-                if waits:
-                    found = _waiting_foes(ways, entry, lanes_of, incoming, inside)
+                if place + 1 < len(lanes):
+                    found = search.waiting_foes(entry, incoming, inside)
                     wait_first[row], wait_count[row] = len(wait_foes), len(found)
                     wait_foes += found
-            first[row] = len(rows)
-            for other in dict.fromkeys([*crossed, *siblings]):
-                foe = entry_of[other]
-                if foe != entry and not _diverge_before(ways, lanes_of, entry, lane, foe, other):
-                    conflict = _conflict(ways, lanes_of, entry, lane, foe, other)
-                    ints, floats = conflict
-                    crosses = floats[CONFLICT_TO_END] > 0.0 or floats[CONFLICT_FOE_TO_END] == NOWHERE
-                    if crosses or ints[CONFLICT_KIND] != CROSSING:
-                        rows.append(conflict)
-            count[row] = len(rows) - first[row]
+            others = dict.fromkeys([*crossed, *siblings])
+            pairs_of[row] = [_Pair(entry, lane, entry_of[k], k) for k in others if entry_of[k] != entry]
+    first, count = np.zeros((2, len(links)), np.int32)
+    rows: list[tuple[list[int], list[float]]] = []
+    geometry = _Geometry(search, [pair for pairs in pairs_of.values() for pair in pairs])
+    for row, pairs in pairs_of.items():
+        first[row] = len(rows)
+        rows += filter(None, map(geometry.conflict, pairs))
+        count[row] = len(rows) - first[row]
     return Conflicts(
         first,
         count,
@@ -127,24 +121,6 @@ def find_conflicts(root: Any, lane_rows: dict[str, int], ways: Ways) -> Conflict
         wait_count,
         np.array(wait_foes, np.int32),
     )
-
-
-def _enters(ways: Ways, row: int) -> bool:
-    link = ways.link_ints[row]
-    return bool(link[LINK_VIA] >= 0 and not ways.lane_ints[link[LINK_FROM], LANE_INSIDE])
-
-
-def _lanes_behind(ways: Ways, row: int) -> list[int]:
-    """Return the ways behind an entry link in order: one, or two with a waiting point between them."""
-    lanes, lane = [], int(ways.link_ints[row, LINK_VIA])
-    while ways.lane_ints[lane, LANE_INSIDE]:
-        lanes.append(lane)
-        lane = int(ways.link_ints[_link_behind(ways, lane), LINK_NEXT])
-    return lanes
-
-
-def _link_behind(ways: Ways, lane: int) -> int:
-    return int(np.flatnonzero(ways.link_ints[:, LINK_FROM] == lane)[0])
 
 
 def _inner_junctions(root: Any, lane_rows: dict[str, int]) -> dict[int, tuple[list[int], list[int]]]:
@@ -160,210 +136,201 @@ def _inner_junctions(root: Any, lane_rows: dict[str, int]) -> dict[int, tuple[li
     }
 
 
-def _waiting_foes(
-    ways: Ways, entry: int, lanes_of: dict[int, list[int]], incoming: list[int], inside: list[int]
-) -> list[int]:
-    """Return the links that a waiting point yields to.
+class _Pair(NamedTuple):
+    """Two ways and the links by which vehicles enter them: the own one, and the foe's."""
 
-    They are the foes from ``incoming``, and the waiting points of these and of the ways ``inside`` that conflict, but
-    not those that yield to it in turn, nor those of the same road.
+    entry: int
+    lane: int
+    foe: int
+    other: int
+
+
+class _Search:
+    """Which links lead to which ways.
+
+    Attributes:
+        links: rows of ``link_ints`` as lists.
+        behind: by lane, the first link that begins on it.
+        lanes_of: by entry link, the ways behind it in order: one, or two with a waiting point between them.
+        entry_of: by way, its entry link.
+        edge: by lane.
     """
-    links = ways.link_ints
-    foes = [row for row in sorted(ways.responses.get(entry, ())) if int(links[row, LINK_FROM]) in incoming]
-    behind = [_link_behind(ways, lane) for row in foes for lane in lanes_of.get(row, [])]
-    behind += [_link_behind(ways, lane) for lane in inside]
-    entry_of = {lane: row for row, lanes in lanes_of.items() for lane in lanes}
-    waiting = [row for row in behind if links[row, LINK_VIA] >= 0]
-    waiting = [row for row in waiting if entry not in ways.responses.get(entry_of[int(links[row, LINK_FROM])], ())]
-    edges = ways.lane_ints[:, LANE_EDGE]
-    road = edges[links[entry, LINK_FROM]]
-    waiting = [row for row in waiting if edges[links[entry_of[int(links[row, LINK_FROM])], LINK_FROM]] != road]
-    return list(dict.fromkeys([*foes, *waiting]))
+
+    def __init__(self, ways: Ways) -> None:
+        self.ways = ways
+        self.links: list[list[int]] = ways.link_ints.tolist()
+        self.edge: list[int] = ways.lane_ints[:, LANE_EDGE].tolist()
+        self.behind = {link[LINK_FROM]: row for row, link in reversed(list(enumerate(self.links)))}
+        inside = ways.lane_ints[:, LANE_INSIDE].tolist()
+        self.lanes_of: dict[int, list[int]] = {}
+        for row, link in enumerate(self.links):
+            if link[LINK_VIA] >= 0 and not inside[link[LINK_FROM]]:
+                self.lanes_of[row] = lanes = []
+                lane = link[LINK_VIA]
+                while inside[lane]:
+                    lanes.append(lane)
+                    lane = self.links[self.behind[lane]][LINK_NEXT]
+        self.entry_of = {lane: row for row, lanes in self.lanes_of.items() for lane in lanes}
+
+    def waiting_foes(self, entry: int, incoming: list[int], inside: list[int]) -> list[int]:
+        """Return the links that a waiting point yields to.
+
+        They are the foes from ``incoming``, and the waiting points of these and of the ways ``inside`` that conflict,
+        but not those that yield to it in turn, nor those of the same road.
+        """
+        links, responses = self.links, self.ways.responses
+        foes = [row for row in sorted(responses.get(entry, ())) if links[row][LINK_FROM] in incoming]
+        lanes = [*(lane for row in foes for lane in self.lanes_of.get(row, [])), *inside]
+        waiting = [row for row in (self.behind[lane] for lane in lanes) if links[row][LINK_VIA] >= 0]
+        entries = {row: self.entry_of[links[row][LINK_FROM]] for row in waiting}
+        road = self.edge[links[entry][LINK_FROM]]
+        waiting = [
+            row
+            for row in waiting
+            if entry not in responses.get(entries[row], ()) and self.edge[links[entries[row]][LINK_FROM]] != road
+        ]
+        return list(dict.fromkeys([*foes, *waiting]))
+
+    def kind(self, pair: _Pair) -> int:
+        """Return the kind of conflict that two ways may be in."""
+        own, theirs = self.links[pair.entry], self.links[pair.foe]
+        if own[LINK_FROM] == theirs[LINK_FROM]:
+            return DIVERGING
+        ends = pair.lane == self.lanes_of[pair.entry][-1] and pair.other == self.lanes_of[pair.foe][-1]
+        return MERGING if ends and own[LINK_TO] == theirs[LINK_TO] else CROSSING
 
 
-def _conflict(
-    ways: Ways, lanes_of: dict[int, list[int]], entry: int, lane: int, foe: int, other: int
-) -> tuple[list[int], list[float]]:
-    """Return a row of ``ints`` and one of ``floats``."""
-    links = ways.link_ints
-    last, last_foe = lane == lanes_of[entry][-1], other == lanes_of[foe][-1]
-    waits = not last_foe
-    yields = foe in ways.responses.get(entry, ())
-    if links[entry, LINK_FROM] == links[foe, LINK_FROM]:
-        kind = DIVERGING
-        own, theirs = _divergence(ways, lanes_of, entry, lane, foe, other)
-        sizes = ways.width_m[other], ways.width_m[lane]
-    elif last and last_foe and links[entry, LINK_TO] == links[foe, LINK_TO]:
-        kind = MERGING
-        own, theirs = _overlap(ways, lane, other, at_begin=False)
-        sizes = ways.width_m[other], ways.width_m[lane]
-    else:
-        kind = CROSSING
-        own, own_size = _crossing(ways, lane, other)
-        theirs, their_size = _crossing(ways, other, lane)
-        sizes = own_size, their_size
-        if own > 0.0 and theirs == 0.0 and not _intersections(ways.shapes[lane], ways.shapes[other]):
-            own_road, their_road = (ways.lane_ints[links[row, LINK_FROM], LANE_EDGE] for row in (entry, foe))
-            if own_road == their_road:
-                # It only ends beside a way of the same road: no conflict.
-                own = theirs = 0.0
-            else:
+class _Geometry:
+    """Where ways conflict, by their shapes.
+
+    Args:
+        search: which links lead to which ways.
+        pairs: all that :meth:`conflict` will be asked for.
+    """
+
+    def __init__(self, search: _Search, pairs: list[_Pair]) -> None:
+        self.search, self.ways = search, search.ways
+        self.width_m: list[float] = self.ways.width_m.tolist()
+        self.length_m: list[float] = self.ways.lane_floats[:, LANE_LENGTH].tolist()
+        steps = {lane: np.diff(self.ways.shapes[lane], axis=0) for lane in search.entry_of}
+        self.drawn_m = {lane: float(np.linalg.norm(step, axis=1).sum()) for lane, step in steps.items()}
+        """Lengths of shapes, slopes included."""
+        self.scale = {lane: self.length_m[lane] / max(drawn_m, 1e-9) for lane, drawn_m in self.drawn_m.items()}
+        """Metres of lane position per metre of drawn shape."""
+        shapes = [shape[:, :2] for shape in self.ways.shapes]
+        self.shapes, backwards = Polylines(shapes), Polylines([shape[::-1] for shape in shapes])
+        by_kind: dict[int, list[_Pair]] = {kind: [] for kind in (CROSSING, MERGING, DIVERGING)}
+        for pair in pairs:
+            by_kind[search.kind(pair)].append(pair)
+        first = {row: lanes[0] for row, lanes in search.lanes_of.items()}
+        self.diverging = self._overlaps(self.shapes, {(first[p.entry], first[p.foe]) for p in by_kind[DIVERGING]})
+        self.merging = self._overlaps(backwards, {(p.lane, p.other) for p in by_kind[MERGING]})
+        ways = dict.fromkeys(ways for p in by_kind[CROSSING] for ways in ((p.lane, p.other), (p.other, p.lane)))
+        self.meetings = self.shapes.crossings(list(ways))
+        apart = [pair for pair in ways if pair not in self.meetings]
+        ends = np.array([shapes[other][-1] for _, other in apart])
+        self.nearest = dict(zip(apart, self.shapes.nearest([lane for lane, _ in apart], ends), strict=True))
+        self.radius_m = {entry: self._radius_m(entry) for entry in search.lanes_of}
+
+    def conflict(self, pair: _Pair) -> tuple[list[int], list[float]] | None:
+        """Return a row of ``ints`` and one of ``floats``, or ``None`` where the two are not in conflict."""
+        links, responses = self.search.links, self.ways.responses
+        entry, lane, foe, other = pair
+        own_link, foe_link = links[entry], links[foe]
+        waits = other != self.search.lanes_of[foe][-1]
+        yields, foe_yields = foe in responses.get(entry, ()), entry in responses.get(foe, ())
+        sizes = self.width_m[other], self.width_m[lane]
+        kind = self.search.kind(pair)
+        if kind == DIVERGING:
+            if self._diverged_before(pair):
+                return None
+            own, theirs = self._divergence(pair)
+        elif kind == MERGING:
+            own, theirs = (self.merging[lane, other] * self.scale[k] for k in (lane, other))
+        else:
+            own, own_size = self._crossing(lane, other)
+            theirs, their_size = self._crossing(other, lane)
+            sizes = own_size, their_size
+            last = lane == self.search.lanes_of[entry][-1]
+            if own > 0.0 and theirs == 0.0 and (lane, other) not in self.meetings:
+                if self.search.edge[own_link[LINK_FROM]] == self.search.edge[foe_link[LINK_FROM]]:
+                    return None  # It only ends beside a way of the same road.
                 theirs = NOWHERE
-        elif own == theirs == 0.0 and last and waits and yields and links[entry, LINK_TO] == links[foe, LINK_TO]:
-            # The foe is before its waiting point and will merge.
-            theirs = NOWHERE
-    foe_yields = entry in ways.responses.get(foe, ())
-    radius = _radius(ways, lanes_of, entry)
-    return [other, foe, kind, int(yields), int(foe_yields), int(waits)], [own, sizes[0], theirs, sizes[1], radius]
+            elif own == theirs == 0.0 and last and waits and yields and own_link[LINK_TO] == foe_link[LINK_TO]:
+                # The foe is before its waiting point and will merge.
+                theirs = NOWHERE
+            if own <= 0.0 and theirs != NOWHERE:
+                return None
+        floats = [own, sizes[0], theirs, sizes[1], self.radius_m[entry]]
+        return [other, foe, kind, int(yields), int(foe_yields), int(waits)], floats
 
+    def _radius_m(self, entry: int) -> float:
+        """Return the radius of the arc that is as long as the ways behind ``entry`` and turns as far."""
+        link = self.search.links[entry]
+        if chr(link[LINK_DIRECTION]) in "sr":
+            return 0.0
+        before, after = self.ways.shapes[link[LINK_FROM]][-2:, :2], self.ways.shapes[link[LINK_TO]][:2, :2]
+        headings = [math.atan2(*(shape[1] - shape[0])[::-1]) for shape in (before, after)]
+        angle = abs((headings[1] - headings[0] + math.pi) % (2.0 * math.pi) - math.pi)
+        return sum(self.shapes.length_m[lane] for lane in self.search.lanes_of[entry]) / angle if angle > 0.0 else 0.0
 
-def _radius(ways: Ways, lanes_of: dict[int, list[int]], entry: int) -> float:
-    """Return the radius (m) of the arc that is as long as the ways behind ``entry`` and turns as far."""
-    link = ways.link_ints[entry]
-    if chr(link[LINK_DIRECTION]) in "sr":
-        return 0.0
-    before, after = ways.shapes[link[LINK_FROM]][-2:, :2], ways.shapes[link[LINK_TO]][:2, :2]
-    headings = [math.atan2(*(shape[1] - shape[0])[::-1]) for shape in (before, after)]
-    angle = abs((headings[1] - headings[0] + math.pi) % (2.0 * math.pi) - math.pi)
-    return sum(float(_lengths(ways.shapes[lane])[-1]) for lane in lanes_of[entry]) / angle if angle > 0.0 else 0.0
+    def _crossing(self, lane: int, other: int) -> tuple[float, float]:
+        """Return how far before the end of ``lane`` its conflict with a crossing way begins, and its length."""
+        length, width = self.length_m[lane], self.width_m[other]
+        if (meeting := self.meetings.get((lane, other))) is not None:
+            along, sine = meeting.along_m, meeting.sine
+        else:
+            nearest = self.nearest[lane, other]
+            if nearest.distance_m >= 0.5 * width:
+                return 0.0, width
+            along, (x, y) = nearest.along_m, nearest.direction
+            ahead = self.ways.shapes[other][-1, :2] - self.ways.shapes[other][-2, :2]
+            sine = abs(x * float(ahead[1]) - y * float(ahead[0])) / max(float(np.hypot(*ahead)), 1e-9)
+        size = min(width * (2.0 / max(sine, _LEAST_SINE) - 1.0), 2.0 * length)
+        return length - max(0.0, (along - 0.5 * size) * self.scale[lane]), size
 
+    def _divergence(self, pair: _Pair) -> tuple[float, float]:
+        """Return how far before their ends two ways from one lane have diverged."""
+        own, theirs = self.search.lanes_of[pair.entry], self.search.lanes_of[pair.foe]
+        if pair.lane == own[0] and pair.other == theirs[0]:
+            return self._rest_behind(pair.lane, pair.other)
+        # Ways behind a waiting point count as never diverging: up to the end of the shorter. Two such ways are assumed
+        # to begin side by side.
+        behind = pair.lane != own[0] and pair.other != theirs[0]
+        lengths = [
+            sum(self.length_m[k] for k in chain[int(behind) : chain.index(end) + 1])
+            for chain, end in ((own, pair.lane), (theirs, pair.other))
+        ]
+        return lengths[0] - min(lengths), lengths[1] - min(lengths)
 
-def _lengths(shape: np.ndarray) -> np.ndarray:
-    """Return the horizontal distance ``[n]`` along a shape to each of its points."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(shape[:, :2], axis=0), axis=1))])
+    def _diverged_before(self, pair: _Pair) -> bool:
+        """Whether two ways from one lane, one or both of them behind waiting points, have diverged before."""
+        own, theirs = self.search.lanes_of[pair.entry][0], self.search.lanes_of[pair.foe][0]
+        if pair.lane == own and pair.other == theirs:
+            return False
+        return min(self._rest_behind(own, theirs)) > _APART_BEFORE_M
 
+    def _overlaps(self, shapes: Polylines, pairs: set[tuple[int, int]]) -> dict[tuple[int, int], float]:
+        """Return for how many metres, from where they begin, two shapes are less than :data:`APART_M` apart."""
+        both = [ways for lane, other in sorted(pairs) for ways in ((lane, other), (other, lane))]
+        apart, length = shapes.apart(both), shapes.length_m
+        # SUMO subtracts the rest of the drawn shape from the nominal length.
+        common = {ways: apart[ways] - length[ways[0]] + self.length_m[ways[0]] for ways in both}
+        return {
+            (lane, other): min(max(common[lane, other], common[other, lane]), length[lane], length[other])
+            for lane, other in pairs
+        }
 
-def _scale(ways: Ways, lane: int) -> float:
-    """Return metres of lane position per metre of drawn shape."""
-    return float(ways.lane_floats[lane, LANE_LENGTH]) / max(_drawn_m(ways, lane), 1e-9)
-
-
-def _drawn_m(ways: Ways, lane: int) -> float:
-    """Return the length of a lane's shape, slopes included."""
-    return float(np.linalg.norm(np.diff(ways.shapes[lane], axis=0), axis=1).sum())
-
-
-def _intersections(one: np.ndarray, other: np.ndarray) -> list[tuple[float, float, float]]:
-    """Return ``(distance along one, distance along other, sine of the angle)`` of each crossing of two shapes."""
-    found = []
-    along_one, along_other = _lengths(one), _lengths(other)
-    for i, (a, b) in enumerate(itertools.pairwise(one[:, :2])):
-        for j, (c, d) in enumerate(itertools.pairwise(other[:, :2])):
-            u, w = b - a, d - c
-            cross = u[0] * w[1] - u[1] * w[0]
-            if abs(cross) < 1e-9:
-                continue
-            to = c - a
-            s, t = (to[0] * w[1] - to[1] * w[0]) / cross, (to[0] * u[1] - to[1] * u[0]) / cross
-            if -1e-9 <= s <= 1.0 + 1e-9 and -1e-9 <= t <= 1.0 + 1e-9:
-                long_u, long_w = np.hypot(*u), np.hypot(*w)
-                found.append((along_one[i] + s * long_u, along_other[j] + t * long_w, abs(cross) / (long_u * long_w)))
-    return sorted(found)
-
-
-def _crossing(ways: Ways, lane: int, other: int) -> tuple[float, float]:
-    """Return how far before the end of ``lane`` its conflict with a crossing way begins, and the conflict's length."""
-    shape, foe = ways.shapes[lane], ways.shapes[other]
-    length = ways.lane_floats[lane, LANE_LENGTH]
-    width = ways.width_m[other]
-    found = _intersections(shape, foe)
-    if found:
-        along, _, sine = found[-1]
-    else:
-        along, distance, sine = _nearest_end(shape, foe)
-        if distance >= 0.5 * width:
-            return 0.0, float(width)
-    size = width * (2.0 / max(sine, _LEAST_SINE) - 1.0)
-    size = min(size, 2.0 * length)
-    begin = max(0.0, (along - 0.5 * size) * _scale(ways, lane))
-    return float(length - begin), float(size)
-
-
-def _nearest_end(shape: np.ndarray, foe: np.ndarray) -> tuple[float, float, float]:
-    """Return where ``shape`` is nearest to the end of ``foe``, the distance there, and the sine of the angle."""
-    along, distance, direction = _nearest(shape, foe[-1, :2])
-    ahead = foe[-1, :2] - foe[-2, :2]
-    cross = abs(direction[0] * ahead[1] - direction[1] * ahead[0]) / max(float(np.hypot(*ahead)), 1e-9)
-    return along, distance, float(cross)
-
-
-def _nearest(shape: np.ndarray, point: np.ndarray) -> tuple[float, float, np.ndarray]:
-    """Return the distance along ``shape`` to its point nearest to ``point``, that from it, and the direction there."""
-    best = (0.0, np.inf, np.array([1.0, 0.0]))
-    along = _lengths(shape)
-    for i, (a, b) in enumerate(itertools.pairwise(shape[:, :2])):
-        u = b - a
-        long_u = float(np.hypot(*u))
-        if long_u < 1e-9:
-            continue
-        t = float(np.clip((point - a) @ u / long_u**2, 0.0, 1.0))
-        distance = float(np.hypot(*(a + t * u - point)))
-        if distance < best[1]:
-            best = (float(along[i] + t * long_u), distance, u / long_u)
-    return best
-
-
-def _divergence(
-    ways: Ways, lanes_of: dict[int, list[int]], entry: int, lane: int, foe: int, other: int
-) -> tuple[float, float]:
-    """Return how far before their ends two ways from one lane have diverged."""
-    own, theirs = lanes_of[entry], lanes_of[foe]
-    if lane == own[0] and other == theirs[0]:
-        return _overlap(ways, lane, other, at_begin=True)
-    # Ways behind a waiting point count as never diverging: up to the end of the shorter. Two such ways are assumed to
-    # begin side by side.
-    behind = lane != own[0] and other != theirs[0]
-    lengths = [
-        sum(float(ways.lane_floats[k, LANE_LENGTH]) for k in chain[int(behind) : chain.index(end) + 1])
-        for chain, end in ((own, lane), (theirs, other))
-    ]
-    return lengths[0] - min(lengths), lengths[1] - min(lengths)
-
-
-def _diverge_before(ways: Ways, lanes_of: dict[int, list[int]], entry: int, lane: int, foe: int, other: int) -> bool:
-    """Whether two ways from one lane, one or both of them behind waiting points, have diverged before."""
-    own, theirs = lanes_of[entry][0], lanes_of[foe][0]
-    if ways.link_ints[entry, LINK_FROM] != ways.link_ints[foe, LINK_FROM] or (lane == own and other == theirs):
-        return False
-    return min(_overlap(ways, own, theirs, at_begin=True)) > _APART_BEFORE_M
-
-
-def _overlap(ways: Ways, lane: int, other: int, at_begin: bool) -> tuple[float, float]:
-    """Return the distances to the ends of two ways from where they diverge or merge.
-
-    The distance between two ways is measured at the points of each shape and interpolated linearly.
-    """
-    one, two = ways.shapes[lane][:, :2], ways.shapes[other][:, :2]
-    if not at_begin:
-        one, two = one[::-1], two[::-1]
-    ends = [float(ways.lane_floats[k, LANE_LENGTH]) for k in (lane, other)]
-    # SUMO subtracts the rest of the drawn shape from the nominal length.
-    common = max(
-        _apart(a, b) - float(_lengths(a)[-1]) + end for a, b, end in ((one, two, ends[0]), (two, one, ends[1]))
-    )
-    common = min(common, float(_lengths(one)[-1]), float(_lengths(two)[-1]))
-    if not at_begin:
-        return common * _scale(ways, lane), common * _scale(ways, other)
-    if ways.lane_ints[lane, LANE_EDGE] == ways.lane_ints[other, LANE_EDGE]:
-        # Ways into neighbouring lanes of one road are measured from their common begin.
-        return ends[0] - common, ends[1] - common
-    # The rest of a way that ends before the two have diverged is in metres of the drawing.
-    own, theirs = (
-        _drawn_m(ways, k) - common if common >= end else end - common * _scale(ways, k)
-        for k, end in zip((lane, other), ends, strict=True)
-    )
-    return own, theirs
-
-
-def _apart(shape: np.ndarray, other: np.ndarray) -> float:
-    """Return the distance along ``shape`` at which it is :data:`APART_M` from ``other``, its length if it never is."""
-    along = _lengths(shape)
-    distances = [_nearest(other, point)[1] for point in shape]
-    for k in range(1, len(shape)):
-        if distances[k] > APART_M:
-            before = distances[k - 1]
-            if before >= APART_M:
-                return float(along[k - 1])
-            share = (APART_M - before) / (distances[k] - before)
-            return float(along[k - 1] + share * (along[k] - along[k - 1]))
-    return float(along[-1])
+    def _rest_behind(self, lane: int, other: int) -> tuple[float, float]:
+        """Return how far before their ends two ways that begin together have diverged."""
+        common = self.diverging[lane, other]
+        ends = [self.length_m[k] for k in (lane, other)]
+        if self.search.edge[lane] == self.search.edge[other]:
+            # Ways into neighbouring lanes of one road are measured from their common begin.
+            return ends[0] - common, ends[1] - common
+        # The rest of a way that ends before the two have diverged is in metres of the drawing.
+        own, theirs = (
+            self.drawn_m[k] - common if common >= end else end - common * self.scale[k]
+            for k, end in zip((lane, other), ends, strict=True)
+        )
+        return own, theirs

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from izoo.envs.twin.lane_change.neighbours import incoming_links_of, mark_lane_changing
-from izoo.envs.twin.net.best_lanes import NetTables, tabulate_best_lanes
+from izoo.envs.twin.net.best_lanes import Signals, tabulate_best_lanes
 from izoo.envs.twin.net.conflicts import Ways, find_conflicts
 from izoo.envs.twin.net.routes import find_routes
 from izoo.envs.twin.net.supported import check_supported
+from izoo.envs.twin.net.tables import NetTables
 from izoo.envs.twin.runtime.layout import (
     EDGE_FIRST_LANE,
     EDGE_INSIDE,
@@ -133,10 +134,10 @@ class _Reader:
         signal_links = np.flatnonzero(link_ints[:, LINK_PROGRAM] >= 0)
         shown = link_ints[signal_links, LINK_PROGRAM]
         shown_order = np.argsort(shown, kind="stable")
-        routes = find_routes(self.road, self.edge_rows, lane_floats, lane_ints, edge_ints, link_ints)
-        tables = NetTables(lane_floats, lane_ints, edge_ints, link_ints, programs, phases, letters)
+        tables = NetTables(lane_floats, lane_ints, edge_ints, link_ints)
+        routes = find_routes(self.road, self.edge_rows, tables)
         try:
-            best = tabulate_best_lanes(tables, routes.route_edges)
+            best = tabulate_best_lanes(tables, Signals(programs, phases, letters), routes.route_edges)
         except IzooError as error:
             raise IzooError(f"{self.path}: {error}") from error
         mark_lane_changing(edge_ints, lane_floats, lane_ints, link_ints)
@@ -158,7 +159,7 @@ class _Reader:
             **routes._asdict(),
             route_exit_edge=np.array([row[row >= 0][-1] for row in routes.route_edges], np.int32),
             source_lanes=np.flatnonzero(np.isin(lane_ints[:, LANE_EDGE], routes.route_edges[:, 0])).astype(np.int32),
-            **best._replace(best_open=best.best_open.astype(np.uint8))._asdict(),
+            **best._asdict(),
             incoming_start=incoming[0],
             incoming_links=incoming[1],
             **self._conflicts(lane_floats, lane_ints, link_ints, shapes, width_m, responses, foes),
@@ -166,26 +167,31 @@ class _Reader:
         return TwinWorld(net, tuple(self.lane_rows), tuple(self.edge_rows), tuple(self.program_rows))
 
     def _lanes_and_edges(self) -> tuple[np.ndarray, np.ndarray]:
-        lane_ints = np.full((len(self.lanes), 9), -1, np.int32)
-        edge_ints = np.zeros((len(self.edges), 4), np.int32)
+        lane_rows: list[list[int]] = []
+        edge_rows: list[list[int]] = []
         region = {name: row for row, name in enumerate(self.road.lane_ids)}
         junction_rows = {junction.get("id"): row for row, junction in enumerate(self.junctions)}
-        first = 0
         for row, edge in enumerate(self.edges):
-            count = len(edge.findall("lane"))
-            inside = edge.get("function") == "internal"
-            edge_ints[row, [EDGE_FIRST_LANE, EDGE_LANES, EDGE_INSIDE]] = first, count, inside
+            first, count = len(lane_rows), len(edge.findall("lane"))
+            inside = int(edge.get("function") == "internal")
+            edge_rows.append(_row(4, 0, {EDGE_FIRST_LANE: first, EDGE_LANES: count, EDGE_INSIDE: inside}))
             # An inside edge is called ":JUNCTION_NUMBER".
             junction = edge.get("id")[1:].rsplit("_", 1)[0] if inside else edge.get("to")
             for index in range(count):
                 lane = first + index
-                lane_ints[lane, [LANE_EDGE, LANE_INDEX, LANE_INSIDE]] = row, index, inside
-                lane_ints[lane, LANE_RIGHT] = lane - 1 if index > 0 else -1
-                lane_ints[lane, LANE_LEFT] = lane + 1 if index < count - 1 else -1
-                lane_ints[lane, LANE_REGION] = region.get(self.lanes[lane].get("id"), -1)
-                lane_ints[lane, LANE_JUNCTION] = junction_rows.get(junction, -1)
-            first += count
-        return lane_ints, edge_ints
+                values = {
+                    LANE_EDGE: row,
+                    LANE_INDEX: index,
+                    LANE_INSIDE: inside,
+                    LANE_RIGHT: lane - 1 if index > 0 else -1,
+                    LANE_LEFT: lane + 1 if index < count - 1 else -1,
+                    LANE_REGION: region.get(self.lanes[lane].get("id"), -1),
+                    LANE_JUNCTION: junction_rows.get(junction, -1),
+                    LANE_FIRST_LINK: 0,
+                    LANE_LINKS: 0,
+                }
+                lane_rows.append(_row(9, -1, values))
+        return np.array(lane_rows, np.int32), np.array(edge_rows, np.int32)
 
     def _connections(self) -> list[Any]:
         by_lane: dict[int, list[Any]] = defaultdict(list)
@@ -194,39 +200,48 @@ class _Reader:
         return [connection for lane in sorted(by_lane) for connection in by_lane[lane]]
 
     def _links(self, connections: list[Any], lane_ints: np.ndarray) -> np.ndarray:
-        links = np.full((len(connections), 16), -1, np.int32)
+        rows: list[list[int]] = []
+        lanes = lane_ints.tolist()
         for row, connection in enumerate(connections):
             start = self.lane_rows[f"{connection.get('from')}_{connection.get('fromLane')}"]
             via = self.lane_rows.get(connection.get("via"), -1)
             to = self.lane_rows[f"{connection.get('to')}_{connection.get('toLane')}"]
-            links[row, [LINK_FROM, LINK_TO, LINK_VIA, LINK_NEXT]] = start, to, via, via if via >= 0 else to
-            links[row, LINK_JUNCTION] = lane_ints[start, LANE_JUNCTION]
-            links[row, LINK_ENTRY] = row
-            links[row, LINK_CONT] = 0
-            if not lane_ints[start, LANE_INSIDE] and via >= 0:
+            values = {
+                LINK_FROM: start,
+                LINK_TO: to,
+                LINK_VIA: via,
+                LINK_NEXT: via if via >= 0 else to,
+                LINK_JUNCTION: lanes[start][LANE_JUNCTION],
+                LINK_ENTRY: row,
+                LINK_CONT: 0,
+                LINK_STATE: ord(connection.get("state", "M")),
+                LINK_DIRECTION: ord(connection.get("dir")[0]),
+            }
+            if not lanes[start][LANE_INSIDE] and via >= 0:
                 edge, index = connection.get("via").rsplit("_", 1)
-                links[row, LINK_REQUEST] = int(edge.rsplit("_", 1)[1]) + int(index)
+                values[LINK_REQUEST] = int(edge.rsplit("_", 1)[1]) + int(index)
             if connection.get("tl") is not None:
-                links[row, LINK_PROGRAM] = self.program_rows[connection.get("tl")]
-                links[row, LINK_SIGNAL] = int(connection.get("linkIndex"))
-            links[row, [LINK_STATE, LINK_DIRECTION]] = ord(connection.get("state", "M")), ord(connection.get("dir")[0])
-            if lane_ints[start, LANE_FIRST_LINK] < 0:
-                lane_ints[start, [LANE_FIRST_LINK, LANE_LINKS]] = row, 0
-            lane_ints[start, LANE_LINKS] += 1
-        lane_ints[lane_ints[:, LANE_FIRST_LINK] < 0, LANE_FIRST_LINK] = 0
-        lane_ints[lane_ints[:, LANE_LINKS] < 0, LANE_LINKS] = 0
+                values[LINK_PROGRAM] = self.program_rows[connection.get("tl")]
+                values[LINK_SIGNAL] = int(connection.get("linkIndex"))
+            rows.append(_row(16, -1, values))
+        links = np.array(rows, np.int32).reshape(-1, 16)
+        starts = np.arange(len(lane_ints))
+        first = np.searchsorted(links[:, LINK_FROM], starts)
+        count = np.searchsorted(links[:, LINK_FROM], starts, "right") - first
+        lane_ints[:, LANE_FIRST_LINK], lane_ints[:, LANE_LINKS] = np.where(count > 0, first, 0), count
         self._name_entries(links, lane_ints)
         return links
 
     @staticmethod
     def _name_entries(links: np.ndarray, lane_ints: np.ndarray) -> None:
         """Set the entry link of every link inside a junction."""
-        for row in np.flatnonzero(~lane_ints[links[:, LINK_FROM], LANE_INSIDE].astype(bool)):
-            lane = int(links[row, LINK_VIA])
-            while lane >= 0 and lane_ints[lane, LANE_LINKS]:
-                onward = int(lane_ints[lane, LANE_FIRST_LINK])
+        rows, lanes = links.tolist(), lane_ints.tolist()
+        for row, link in enumerate(rows):
+            lane = -1 if lanes[link[LINK_FROM]][LANE_INSIDE] else link[LINK_VIA]
+            while lane >= 0 and lanes[lane][LANE_LINKS]:
+                onward = lanes[lane][LANE_FIRST_LINK]
                 links[onward, LINK_ENTRY] = row
-                lane = int(links[onward, LINK_VIA])
+                lane = rows[onward][LINK_VIA]
 
     def _requests(self, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Fill the links' ranges of responses and foes, and whether vehicles may wait inside."""
@@ -261,7 +276,10 @@ class _Reader:
         """Return the tables of :class:`~izoo.envs.twin.net.conflicts.Conflicts` under their names in the net."""
 
         def ranges(rows: np.ndarray, first: int, count: int) -> dict[int, set[int]]:
-            return {k: set(rows[link[first] : link[first] + link[count]].tolist()) for k, link in enumerate(link_ints)}
+            values = rows.tolist()
+            return {k: set(values[link[first] : link[first] + link[count]]) for k, link in enumerate(links)}
+
+        links = link_ints.tolist()
 
         ways = Ways(
             lane_floats,
@@ -292,6 +310,11 @@ class _Reader:
             programs[row, PROGRAM_CYCLE_MS] = begin_ms
             programs[row, PROGRAM_OFFSET_MS] = to_ms(offset_s(logic))
         return programs, np.array(phases, np.int64).reshape(-1, 2), np.frombuffer(bytes(letters), np.uint8)
+
+
+def _row(size: int, rest: int, values: dict[int, int]) -> list[int]:
+    """Return a row with values by column, and ``rest`` in the other columns."""
+    return [values.get(column, rest) for column in range(size)]
 
 
 def twin_traffic(traffic: Traffic, road: RoadNet, net: TwinNet) -> TwinTraffic:

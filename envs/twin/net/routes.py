@@ -7,17 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from izoo.envs.twin.runtime.layout import (
-    EDGE_FIRST_LANE,
-    EDGE_LANES,
-    LANE_FIRST_LINK,
-    LANE_INSIDE,
-    LANE_LENGTH,
-    LANE_LINKS,
-    LINK_NEXT,
-    LINK_TO,
-    MAX_ROUTE_EDGES,
-)
+from izoo.envs.twin.net.tables import NetTables
+from izoo.envs.twin.runtime.layout import LINK_TO, MAX_ROUTE_EDGES
 from izoo.errors import IzooError
 from izoo.networks.road import RoadNet
 from izoo.traffic.sampling import SOURCE_KINDS
@@ -31,38 +22,12 @@ class RouteTables(NamedTuple):
     route_link: np.ndarray
 
 
-class _Lanes:
-    """Lanes and links for a search along a route."""
-
-    def __init__(
-        self, lane_floats: np.ndarray, lane_ints: np.ndarray, edge_ints: np.ndarray, link_ints: np.ndarray
-    ) -> None:
-        self.length = lane_floats[:, LANE_LENGTH]
-        self.ints, self.edges, self.links = lane_ints, edge_ints, link_ints
-
-    def of_edge(self, edge: int) -> range:
-        first = int(self.edges[edge, EDGE_FIRST_LANE])
-        return range(first, first + int(self.edges[edge, EDGE_LANES]))
-
-    def links_of(self, lane: int) -> range:
-        first = int(self.ints[lane, LANE_FIRST_LINK])
-        return range(first, first + int(self.ints[lane, LANE_LINKS]))
-
-
-def find_routes(
-    road: RoadNet,
-    edge_rows: dict[str, int],
-    lane_floats: np.ndarray,
-    lane_ints: np.ndarray,
-    edge_ints: np.ndarray,
-    link_ints: np.ndarray,
-) -> RouteTables:
+def find_routes(road: RoadNet, edge_rows: dict[str, int], net: NetTables) -> RouteTables:
     """Tabulate every route that traffic can have: a source, the approach's edges, an exit.
 
     Raises:
         IzooError: a route has more edges than the tables hold.
     """
-    lanes = _Lanes(lane_floats, lane_ints, edge_ints, link_ints)
     found = [
         (p, SOURCE_KINDS.index(kind), q, [edge_rows[e] for e in (source, *road.incoming_edges[p], out)])
         for p, sources in enumerate(road.sources)
@@ -73,59 +38,46 @@ def find_routes(
     longest = max((len(edges) for *_, edges in found), default=0)
     if longest > MAX_ROUTE_EDGES:
         raise IzooError(f"{road.path}: a route has {longest} edges, and the twin holds {MAX_ROUTE_EDGES}; use SUMO.")
-    count, lane_count = len(found), len(lane_ints)
     tables = RouteTables(
-        route_edges=np.full((count, MAX_ROUTE_EDGES), -1, np.int32),
+        route_edges=np.full((len(found), MAX_ROUTE_EDGES), -1, np.int32),
         route_of=np.full((len(road.approaches), len(SOURCE_KINDS), len(road.exits)), -1, np.int32),
-        route_link=np.full((count, lane_count), -1, np.int32),
+        route_link=np.full((len(found), len(net.lanes)), -1, np.int32),
     )
     for row, (p, source, q, edges) in enumerate(found):
         tables.route_edges[row, : len(edges)] = edges
         tables.route_of[p, source, q] = row
-        _follow(lanes, edges, tables.route_link[row])
+        tables.route_link[row] = _links_of_route(net, edges)
     return tables
 
 
-def _follow(lanes: _Lanes, edges: list[int], route_link: np.ndarray) -> None:
-    """Fill one route's row, from its end to its beginning."""
-    length, offset = np.zeros(len(lanes.length)), np.zeros(len(lanes.length), np.int32)
-    last = list(lanes.of_edge(edges[-1]))
-    length[last] = lanes.length[last]
+def _links_of_route(net: NetTables, edges: list[int]) -> list[int]:
+    """Return one route's row, which is filled from the route's end to its beginning."""
+    length, offset = [0.0] * len(net.lanes), [0] * len(net.lanes)
+    route_link = [-1] * len(net.lanes)
+    for lane in net.lanes_of(edges[-1]):
+        length[lane] = net.length_m[lane]
     for edge, after in reversed(list(itertools.pairwise(edges))):
-        onward = set(lanes.of_edge(after))
-        for lane in lanes.of_edge(edge):
-            length[lane] = lanes.length[lane]
-            ways = [k for k in lanes.links_of(lane) if int(lanes.links[k, LINK_TO]) in onward]
-            if not ways:
-                continue
-            targets = lanes.links[ways, LINK_TO]
-            order = np.lexsort((np.abs(offset[targets]), -length[targets]))
-            chosen = ways[int(order[0])]
-            target = int(lanes.links[chosen, LINK_TO])
-            length[lane] += length[target]
-            offset[lane] = offset[target]
-            route_link[lane] = chosen
-            for way in ways:
-                _follow_inside(lanes, way, route_link)
-        _point_to_best(np.array(lanes.of_edge(edge)), length, offset)
+        ways = net.links_between(edge, after)
+        for lane in net.lanes_of(edge):
+            length[lane] = net.length_m[lane]
+            onward = [(net.links[way][LINK_TO], way) for way in ways if way in net.links_of(lane)]
+            if onward:
+                target, route_link[lane] = min(onward, key=lambda way: (-length[way[0]], abs(offset[way[0]])))
+                length[lane] += length[target]
+                offset[lane] = offset[target]
+        for way in ways:
+            for inside in net.inside_lanes(way):
+                route_link[inside] = net.links_of(inside)[0]
+        _point_to_best(net.lanes_of(edge), length, offset)
+    return route_link
 
 
-def _follow_inside(lanes: _Lanes, link: int, route_link: np.ndarray) -> None:
-    """Fill in the inside lanes behind ``link``, each with its only link."""
-    lane = int(lanes.links[link, LINK_NEXT])
-    while lanes.ints[lane, LANE_INSIDE]:
-        onward = lanes.links_of(lane)[0]
-        route_link[lane] = onward
-        lane = int(lanes.links[onward, LINK_NEXT])
-
-
-def _point_to_best(rows: np.ndarray, best_length: np.ndarray, best_offset: np.ndarray) -> None:
+def _point_to_best(lanes: range, length: list[float], offset: list[int]) -> None:
     """Set the offsets of an edge's lanes to the nearest of the best lanes."""
-    length = best_length[rows]
-    offset = best_offset[rows]
-    longest = np.flatnonzero(length == length.max())
-    best = longest[np.abs(offset[longest]) == np.abs(offset[longest]).min()]
-    for place in range(len(rows)):
-        if place not in best:
-            nearest = best[int(np.argmin(np.abs(best - place)))]
-            best_offset[rows[place]] = nearest - place
+    best_length = max(length[lane] for lane in lanes)
+    longest = [lane for lane in lanes if length[lane] == best_length]
+    fewest = min(abs(offset[lane]) for lane in longest)
+    best = [lane for lane in longest if abs(offset[lane]) == fewest]
+    for lane in lanes:
+        if lane not in best:
+            offset[lane] = min(best, key=lambda other: abs(other - lane)) - lane

@@ -7,7 +7,6 @@ thousand need more, and threads would wait for each other, so there processes pr
 from __future__ import annotations
 
 import contextlib
-import functools
 import pickle
 import queue
 import socket
@@ -138,13 +137,14 @@ def _prepare_by(helper: _Helper, config: EnvConfig, running: Sequence[_Job]) -> 
         _settle(futures, helper.prepare(plays))
     except (OSError, EOFError):  # it was killed, for lack of memory perhaps
         desk = Desk()
-        _settle(futures, [_prepared(config, functools.partial(_same, play), desk) for play in plays])
+        _settle(futures, [_prepared(config, fixed(play), desk) for play in plays])
         return False
     return True
 
 
-def _same(play: Play) -> Play:
-    return play
+def fixed(play: Play) -> Callable[[], Play]:
+    """Return what :meth:`Preparers.submit` takes, of an episode that is known."""
+    return lambda: play
 
 
 def _prepared(config: EnvConfig, play: Callable[[], Play], desk: Desk) -> Answer:
@@ -192,7 +192,7 @@ def main(descriptor: int) -> None:
             with contextlib.suppress(IzooError):  # raised again by those whose net it is
                 build_nets([play.context.intersection for play in plays])
             with compiling_once(warm_up_all):
-                answers = [_prepared(config, functools.partial(_same, play), desk) for play in plays]
+                answers = [_prepared(config, fixed(play), desk) for play in plays]
             send(connection, pickle.dumps([_bare(answer) for answer in answers], pickle.HIGHEST_PROTOCOL))
 
 

@@ -11,7 +11,7 @@ _Reports = SimpleQueue[BaseException | None]
 _Order = tuple[Task, _Reports]
 
 
-class Crew:
+class ThreadPool:
     """The thread that calls :meth:`work`, number 0, and helpers that wait for it.
 
     A pool of :mod:`concurrent.futures` takes some 60 µs longer to hand out work and to hear that it is done, where two

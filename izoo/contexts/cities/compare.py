@@ -1,11 +1,9 @@
-"""Compares intersections with a city's published feature distributions: total variation per feature, table and plot."""
+"""Compares intersections with a city's published feature distributions: total variation per feature."""
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +12,6 @@ from izoo.contexts.cities.plans import measure
 from izoo.contexts.cities.rebuilt import get
 from izoo.contexts.context import HOUR_FACTOR
 from izoo.contexts.spec import IntersectionSpec
-from izoo.files import replacing
 
 
 def approach_features(spec: IntersectionSpec) -> Iterator[dict[str, float]]:
@@ -65,36 +62,3 @@ def format_distances(tables: Mapping[str, np.ndarray]) -> str:
         cells = [f"{value:.3f}".rjust(len(name)) for name, value in total_variation(table, city).items()]
         lines.append("  ".join([city.ljust(width), *cells]))
     return "\n".join(lines)
-
-
-def write_csv(tables: Mapping[str, np.ndarray], path: Path) -> None:
-    """Write one line per city and feature."""
-    with replacing(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["city", "feature", "approaches", "total_variation"])
-        for city, table in tables.items():
-            for name, value in total_variation(table, city).items():
-                writer.writerow([city, name, len(table), f"{value:.5f}"])
-
-
-def write_png(tables: Mapping[str, np.ndarray], path: Path) -> None:
-    """Draw published (bars) against rebuilt (line) histograms, one row per city."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(2.6 * len(FEATURES), 1.9 * len(tables)), layout="constrained")
-    axes = np.atleast_2d(figure.subplots(len(tables), len(FEATURES)))
-    for row, (city, table) in zip(axes, tables.items(), strict=True):
-        for index, (axis, name) in enumerate(zip(row, FEATURES, strict=True)):
-            published = marginal(city, name)
-            rebuilt = published.histogram(table[:, index])
-            edges = published.edges
-            if edges is None:
-                assert published.values is not None
-                edges = np.append(published.values - 0.5, published.values[-1] + 0.5)
-            axis.stairs(published.prob / published.prob.sum(), edges, fill=True, color="0.75", label="published")
-            axis.stairs(rebuilt, edges, color="tab:blue", linewidth=1.0, label="rebuilt")
-            axis.set_title(f"{city}: {name}", fontsize=7)
-            axis.tick_params(labelsize=6)
-    axes[0, 0].legend(fontsize=6)
-    with replacing(path) as partial:
-        figure.savefig(partial, dpi=70, format="png")

@@ -31,6 +31,7 @@ WEATHER_PUBLISHED = MappingProxyType({"salt_lake_city": (20.0, 46.0), "atlanta":
 """``(temperature_c, humidity_pct)`` of the published experiments, for ``weather=published``."""
 
 
+@functools.cache
 def weather(city: str, season: str) -> tuple[float, float]:
     """Return ``(temperature_c, humidity_pct)``: the mean of the season's monthly values of the city's county.
 

@@ -1,4 +1,4 @@
-"""Offline data: store what a driver experiences in shards, then sample agent-steps from them without loading them.
+"""Offline data: store what glide does, clone it from the stored steps, and say how far the clone falls short of it.
 
 The same data from the shell: ``python -m izoo.collect policy=glide frames=20000 out=DIR``.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -14,6 +15,12 @@ from torch import nn
 from torchrl.data import TensorDictReplayBuffer
 
 from izoo import collect
+from izoo.conf.context_choices import PcgContexts
+from izoo.envs import EnvConfig
+from izoo.results import evaluate_policy, print_summary, summarise
+from izoo.results.selection import choose_contexts
+
+TRAFFIC = {"preset": "easy", "inflow_vph_per_lane": "200..500", "adoption": 0.5}
 
 
 def transitions(steps: TensorDictBase) -> TensorDict:
@@ -23,42 +30,71 @@ def transitions(steps: TensorDictBase) -> TensorDict:
     same vehicle as slot ``k``, so masking the root with its mask is all that is needed.
     """
     mask, agents, following = steps["agents", "mask"], steps["agents"], steps["next", "agents"]
-    columns = {name: agents[name][mask] for name in ("observation", "action")}
+    columns = {name: agents[name][mask] for name in ("observation", "action", "defer")}
     columns["next"] = TensorDict(
         {name: following[name][mask] for name in ("observation", "reward", "done", "terminated")}, [int(mask.sum())]
     )
     return TensorDict(columns, [int(mask.sum())])
 
 
-def main(frames: int = 20_000, updates: int = 1000, horizon_s: float = 500.0, out: Path | None = None) -> list[float]:
-    """Collect, load, and clone the driver's behaviour; return the losses."""
-    with tempfile.TemporaryDirectory() as folder:
-        data = out or Path(folder) / "data"
-        options = [f"frames={frames}", f"out={data}", f"env.horizon_s={horizon_s}", "env.emit=[]", "contexts=pcg_easy"]
-        if collect.main(["policy=random", f"shard_frames={frames // 2}", *options]) != 0:
-            raise SystemExit(1)
-        buffer = collect.replay_buffer(data, batch_size=64)
-        print(f"{len(buffer)} steps lie in {len(buffer.storage.shards)} shards")
-        return clone(buffer, updates)
+class Clone(nn.Module):
+    """A policy that predicts the driver's acceleration, and whether it leaves the vehicle to the simulator."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.network = nn.Sequential(nn.LazyLinear(128), nn.Tanh(), nn.Linear(128, 128), nn.Tanh(), nn.Linear(128, 2))
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``("agents", "action")`` ``[*B, A, 1]`` in m/s^2 and ``("agents", "defer")`` ``[*B, A]``."""
+        found = self.network(tensordict["agents", "observation"])
+        tensordict["agents", "action"] = found[..., :1]
+        return tensordict.set(("agents", "defer"), found[..., 1] > 0.0)
+
+    def loss(self, batch: TensorDictBase) -> torch.Tensor:
+        """Squared error of the commanded accelerations, and cross-entropy of leaving the vehicle alone."""
+        found, defer = self.network(batch["observation"]), batch["defer"]
+        error = (found[:, 0] - batch["action"][:, 0]).square()
+        left_alone = nn.functional.binary_cross_entropy_with_logits(found[:, 1], defer.float())
+        return torch.where(defer, torch.zeros_like(error), error).mean() + left_alone
 
 
-def clone(buffer: TensorDictReplayBuffer, updates: int) -> list[float]:
-    """Fit a network to the driver's actions; return the losses."""
-    network = nn.Sequential(nn.LazyLinear(64), nn.Tanh(), nn.Linear(64, 1))
-    network(transitions(buffer[:1])["observation"])
-    optimiser = torch.optim.Adam(network.parameters(), lr=1e-3)
-    losses: list[float] = []
+def fit(buffer: TensorDictReplayBuffer, updates: int) -> tuple[Clone, list[float]]:
+    """Fit a clone to the driver's commands; return it and the losses."""
+    clone, losses = Clone(), []
+    clone.network(transitions(buffer[:1])["observation"])
+    optimiser = torch.optim.Adam(clone.parameters(), lr=1e-3)
     while len(losses) < updates:
         batch = transitions(buffer.sample())
         if len(batch) == 0:  # steps without controlled vehicles
             continue
-        loss = nn.functional.mse_loss(network(batch["observation"]), batch["action"])
+        loss = clone.loss(batch)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         losses.append(loss.item())
-    print(f"squared error {losses[0]:.3f} -> {losses[-1]:.3f}")
-    return losses
+    print(f"loss {losses[0]:.3f} -> {losses[-1]:.3f}")
+    return clone.eval(), losses
+
+
+def main(
+    frames: int = 20_000, updates: int = 3000, horizon_s: float = 500.0, contexts: int = 8, cache: Path | None = None
+) -> tuple[list[float], dict[str, Any]]:
+    """Collect, load, clone, and evaluate on other contexts; return the losses and the summary."""
+    with tempfile.TemporaryDirectory() as folder:
+        data, results = Path(folder) / "data", Path(folder) / "results"
+        traffic = [f"contexts.{name}={value}" for name, value in TRAFFIC.items()]
+        options = [f"frames={frames}", f"out={data}", f"env.horizon_s={horizon_s}", "env.num_agents=16", *traffic]
+        if collect.main(["policy=glide", f"shard_frames={frames // 2}", *options]) != 0:
+            raise SystemExit(1)
+        buffer = collect.replay_buffer(data, batch_size=256)
+        print(f"{len(buffer)} steps lie in {len(buffer.storage.shards)} shards")
+        clone, losses = fit(buffer, updates)
+        played = choose_contexts(PcgContexts(**TRAFFIC).build(), contexts, seed=1)
+        config = EnvConfig(horizon_s=horizon_s, num_agents=16)
+        evaluate_policy("glide", played, [0], config, out=results, cache=cache)
+        summary = summarise(evaluate_policy(clone, played, [0], config, name="clone", out=results, cache=cache))
+    print_summary(summary)
+    return losses, summary
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.contexts.procedural import ProceduralSource
 from izoo.envs import EnvConfig, TwinEnv
-from izoo.metrics.masked import masked_mean
+from izoo. import masked_mean
 from izoo.results import ray_cluster
 
 

@@ -36,6 +36,8 @@ _ARROWS = {
     "l": ((0.0, -3.0), (0.0, 0.5), (-1.3, 1.2)),
 }
 """Strokes of the painted arrows: metres to the right and forward."""
+SCALE_M = 20.0
+"""Length of the bar that shows the scale."""
 _DPI = 150
 
 
@@ -160,10 +162,21 @@ def _draw_layout(
             _draw_stop_line(axes, lane.points)
     for leg in spec.legs:
         _label(axes, spec, leg.name, streets.get(leg.name, ""), layout.extent_m)
+    _draw_scale_and_north(axes, layout.extent_m)
     axes.set_xlim(-1.55 * layout.extent_m, 1.55 * layout.extent_m)
     axes.set_ylim(-1.2 * layout.extent_m, 1.2 * layout.extent_m)
     axes.set_aspect("equal")
     axes.axis("off")
+
+
+def _draw_scale_and_north(axes: Axes, extent_m: float) -> None:
+    """Draw a bar of 20 m in the lower left corner and an arrow to the north in the upper left one."""
+    left, bottom, top = -1.5 * extent_m, -1.15 * extent_m, 1.15 * extent_m
+    axes.plot([left, left + SCALE_M], [bottom, bottom], color=_TEXT, linewidth=2.0, solid_capstyle="butt")
+    axes.text(left + SCALE_M / 2.0, bottom + 1.5, f"{SCALE_M:.0f} m", fontsize=8, ha="center", va="bottom", color=_TEXT)
+    arrow = {"arrowstyle": "-|>", "color": _TEXT, "lw": 1.2}
+    axes.annotate("", (left + 2.0, top), (left + 2.0, top - 14.0), arrowprops=arrow)
+    axes.text(left + 2.0, top - 15.0, "N", fontsize=9, weight="bold", ha="center", va="top", color=_TEXT)
 
 
 def _ribbon(points: np.ndarray, width: float = LANE_M) -> np.ndarray:

@@ -21,7 +21,7 @@ from izoo.errors import IzooError
 from izoo.networks.net import net_cache as cache
 from izoo.networks.net.connections import Link
 from izoo.networks.net.heights import add_heights
-from izoo.networks.net.netconvert import convert, convert_together
+from izoo.networks.net.netconvert import SUMO_VERSION, convert, convert_together
 from izoo.networks.net.plain import PlainNet, plain_net
 from izoo.networks.net.programs import stop_mutual_waits
 from izoo.networks.signals.search import search_plan
@@ -111,7 +111,10 @@ def net_key(spec: IntersectionSpec) -> str:
 
 @functools.cache
 def _sumo_version() -> str:
-    return importlib.metadata.version("eclipse-sumo")
+    try:
+        return importlib.metadata.version("eclipse-sumo")
+    except importlib.metadata.PackageNotFoundError:
+        return SUMO_VERSION  # nets in the cache are found without it
 
 
 def _store_together(absent: Mapping[str, IntersectionSpec], folder: Path) -> dict[IntersectionSpec, Path]:

@@ -9,11 +9,10 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import sumo
-
 from izoo.errors import IzooError
 from izoo.networks.net.plain import PlainNet
 
+SUMO_VERSION = "1.28.0"
 TIMEOUT_S = 120.0
 _OPTIONS = {
     "no-turnarounds": "true",
@@ -87,6 +86,13 @@ def _with_own_boundaries(location: str, plain: PlainNet) -> str:
 
 def _run(name: str, inputs: Mapping[str, str], scratch: Path) -> tuple[str, str]:
     """Run netconvert; return the net, without the header, and what it said."""
+    try:
+        import sumo
+    except ImportError:
+        raise IzooError(
+            f"the net of intersection {name} is not in the cache, and building it needs SUMO, which is not installed; "
+            f"run: pip install eclipse-sumo=={SUMO_VERSION}"
+        ) from None
     command = [str(Path(sumo.SUMO_HOME, "bin", "netconvert"))]
     for option, text in inputs.items():
         (scratch / f"{option}.xml").write_text(text)

@@ -37,3 +37,13 @@ function choices(box, labels, choose) {
 setTheme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
 byId("theme").addEventListener("click", () => setTheme(root.dataset.theme === "dark" ? "light" : "dark"));
 report.ready = unpack("content-pack").then(text => { report.content = JSON.parse(text); return report.content; });
+
+/** On paper the page is light, and what folds out is open. */
+let unprinted = [];
+addEventListener("beforeprint", () => {
+  const theme = root.dataset.theme, folded = [...document.querySelectorAll("details:not([open])")];
+  folded.forEach(part => { part.open = true; });
+  setTheme("light");
+  unprinted = [() => setTheme(theme), ...folded.map(part => () => { part.open = false; })];
+});
+addEventListener("afterprint", () => unprinted.splice(0).forEach(undo => undo()));

@@ -20,6 +20,7 @@ if (byId("rows")) report.ready.then(content => {
         cell.textContent = text(column, k);
         if (column.digits === null) cell.className = "text";
         else if (rows[column.key][k] < 0) cell.className = "minus";
+        cell.classList.toggle("more", column.more);
         line.append(cell);
       });
       return line;
@@ -66,6 +67,7 @@ if (byId("rows")) report.ready.then(content => {
     const head = document.createElement("th"), button = document.createElement("button");
     head.scope = "col";
     if (column.digits === null) head.className = "text";
+    head.classList.toggle("more", column.more);
     button.type = "button";
     button.textContent = column.label;
     if (column.meaning) button.title = column.meaning;
@@ -83,6 +85,7 @@ if (byId("rows")) report.ready.then(content => {
   byId("filter-policy").replaceChildren(option("", "all"), ...[...new Set(rows.policy)].map(name => option(name, name)));
   byId("filter-policy").addEventListener("change", filter);
   byId("filter-text").addEventListener("input", filter);
+  byId("every-figure").addEventListener("change", event => byId("rows").classList.toggle("every", event.target.checked));
   byId("previous").addEventListener("click", () => { page -= 1; render(); });
   byId("following").addEventListener("click", () => { page += 1; render(); });
   filter();

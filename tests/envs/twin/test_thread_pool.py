@@ -9,18 +9,18 @@ from collections.abc import Iterator
 
 import pytest
 
-from izoo.envs.twin.runtime.thread_pool import Crew
+from izoo.envs.twin.runtime.thread_pool import ThreadPool
 
 
 @pytest.fixture
-def pool() -> Iterator[Crew]:
-    made = Crew(3, lambda: None)
+def pool() -> Iterator[ThreadPool]:
+    made = ThreadPool(3, lambda: None)
     yield made
     made.close()
 
 
 @pytest.mark.parametrize("failing", [0, 2])
-def test_a_failure_is_raised_when_all_have_ended_and_the_pool_goes_on(pool: Crew, failing: int) -> None:
+def test_a_failure_is_raised_when_all_have_ended_and_the_pool_goes_on(pool: ThreadPool, failing: int) -> None:
     done: list[int] = []
 
     def task(number: int) -> None:
@@ -55,7 +55,7 @@ def interrupts() -> Iterator[threading.Event]:
 
 
 @pytest.mark.parametrize("waits", [True, False])
-def test_an_interrupt_is_raised_when_all_have_ended(pool: Crew, interrupts: threading.Event, waits: bool) -> None:
+def test_an_interrupt_is_raised_when_all_have_ended(pool: ThreadPool, interrupts: threading.Event, waits: bool) -> None:
     """The caller may then free the memory that they work on. Reports of that task are not taken for the next one's."""
     ended: list[int] = []
 
@@ -80,7 +80,7 @@ def test_an_interrupt_is_raised_when_all_have_ended(pool: Crew, interrupts: thre
 
 
 def test_closing_waits_for_what_is_still_being_done() -> None:
-    pool, ended = Crew(2, lambda: None), []
+    pool, ended = ThreadPool(2, lambda: None), []
 
     def slow(number: int) -> None:
         if number:

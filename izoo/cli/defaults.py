@@ -1,0 +1,82 @@
+"""What a run that is resumed, and a trained policy, set where other options do not; PyTorch is loaded where needed."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+from izoo import tasks, zoo
+from izoo.conf.mapping import to_mapping
+from izoo.conf.train_options import CHANGEABLE, TrainConfig
+from izoo.envs.config import BY_STEP
+from izoo.errors import IzooError
+from izoo.files import expanded
+from izoo.zoo import catalog
+
+
+def of_run(named: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of the run that ``resume`` names.
+
+    Raises:
+        IzooError: there is none, or an option is given that belongs to what the run is.
+    """
+    if named.get("resume") is None:
+        return {}
+    for name in sorted(named):
+        if name.split(".")[0] not in CHANGEABLE:
+            raise IzooError(
+                f"a resumed run keeps its own options, so {name} cannot be given with resume; "
+                f"only these can: {', '.join(CHANGEABLE)}."
+            )
+    from izoo.training import run_folder
+
+    config = run_folder.resumed(expanded(str(named["resume"])).absolute())
+    return {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
+
+
+def of_policies(named: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the environment of the policies that ship, or were exported, among those that are named.
+
+    Which groups are emitted is not theirs to say.
+    """
+    policies = named.get("policies", [named.get("policy", "")])
+    found = [zoo.load(name).env for policy in policies if (name := catalog.named(str(policy)))]
+    return {"env": {name: value for name, value in to_mapping(found[-1]).items() if name != "emit"}} if found else {}
+
+
+def of_evaluation(named: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a trained policy sets of an evaluation.
+
+    That is its environment, of which a task leaves it what it observes and decides; and, of a run, what its task is
+    tested on, or else its own contexts.
+    """
+    has_task, found = named.get("task") is not None, {}  # type: bool, dict[str, Any]
+    if named.get("run") is not None:
+        from izoo.training import checkpoint, run_folder
+
+        path = checkpoint.find(expanded(str(named["run"])), str(named.get("checkpoint", "last")))
+        trained = run_folder.read_config(checkpoint.run_of(path))
+        task, env = _tested(trained), zoo.full_episodes(trained.env)
+        if not has_task and "contexts" not in named:
+            found = {"contexts": trained.contexts}
+        if found and task is not None:
+            env = dataclasses.replace(env, horizon_s=task.env.horizon_s, warmup_s=task.env.warmup_s)
+            found = {"contexts": task.test, "num_contexts": task.test_contexts, "seeds": task.test_episodes}
+            found["task"] = trained.task
+    elif name := catalog.named(str(named.get("policy"))):
+        env = zoo.load(name).env
+    else:  # drivers that are written by hand command accelerations
+        return {"env": {**BY_STEP, "hold_s": None}}
+    from izoo.results.store import own_settings
+
+    own = own_settings(env) if has_task else set(to_mapping(env)) - {"emit", "drain_s"}
+    return {**found, "env": {name: value for name, value in to_mapping(env).items() if name in own}}
+
+
+def _tested(trained: TrainConfig) -> tasks.Task | None:
+    """Return the task of a run, unless it was trained on other contexts than those of the task."""
+    if trained.task is None:
+        return None
+    task = tasks.make(trained.task, path=getattr(trained.contexts, "path", None))
+    return task if to_mapping(task.train) == to_mapping(trained.contexts) else None
