@@ -19,7 +19,6 @@ from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.contexts.procedural import ProceduralSource
 from izoo.envs import EnvConfig, TwinEnv
-from izoo. import masked_mean
 from izoo.results import ray_cluster
 
 
@@ -74,7 +73,7 @@ def main(
         for number, batch in enumerate(collector):
             algorithm.update(batch.exclude("collector"), number / batches)
             collector.update_policy_weights_(algorithm.policy)
-            reward = masked_mean(batch.get(("next", *REWARD)).squeeze(-1), batch[MASK], tuple(range(batch[MASK].ndim)))
+            reward = batch.get(("next", *REWARD)).squeeze(-1)[batch.get(MASK)].mean()
             seconds, begin = time.perf_counter() - begin, time.perf_counter()
             history.append((float(reward), frames / seconds))
             print(f"batch {number + 1}: reward {float(reward):.3f}, {frames / seconds:,.0f} steps/s", flush=True)
