@@ -26,7 +26,7 @@ from izoo.envs.mdp.frame import TEAM_REWARD, observation_names, row_of
 from izoo.envs.mdp.snapshot import Scene
 from izoo.envs.render import draw
 from izoo.envs.sumo.workers import SumoWorkers
-from izoo.errors import IzooError, check_seed, check_whole
+from izoo.errors import IzooError, check_seed, check_whole, plain_number
 from izoo.imports import imported
 from izoo.networks.road import RoadNet
 
@@ -139,7 +139,9 @@ class EcoDrivingBase(EnvBase):
         whole = not numbers.is_floating_point() and not numbers.is_complex() and numbers.dtype != torch.bool
         if numbers.numel() != count or not whole or (numbers < 0).any():
             what = "a whole number" if count == 1 else f"{count} whole numbers, one per environment,"
-            raise IzooError(f"reset(episode={episode!r}): give {what} from 0 on; episodes are numbered so.")
+            raise IzooError(
+                f"reset(episode={plain_number(episode)!r}): give {what} from 0 on; episodes are numbered so."
+            )
         return [int(number) for number in numbers.view(-1)]
 
     def _take_number(self, index: int) -> int:

@@ -38,7 +38,7 @@ def unknown_choice(what: str, value: object, legal: Iterable[object]) -> IzooErr
     names = [str(name) for name in legal]
     close = difflib.get_close_matches(str(value), names, n=1, cutoff=0.5)
     hint = f" Did you mean {close[0]!r}?" if close else ""
-    return IzooError(f"unknown {what} {value!r}; choose one of: {', '.join(names)}.{hint}")
+    return IzooError(f"unknown {what} {plain_number(value)!r}; choose one of: {', '.join(names)}.{hint}")
 
 
 def check_choice(what: str, value: object, legal: Iterable[object]) -> None:
@@ -51,10 +51,10 @@ def check_choice(what: str, value: object, legal: Iterable[object]) -> None:
 def check_range(what: str, value: Any, low: float, high: float, unit: str = "") -> None:
     """Raise :class:`IzooError` unless ``value`` is a number in ``[low, high]`` (NaN is outside every range)."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        raise IzooError(f"{what} is {value!r}; it must be a number in {_interval(low, high, unit)}.")
+        raise IzooError(f"{what} is {plain_number(value)!r}; it must be a number in {_interval(low, high, unit)}.")
     number: Any = value
     if not low <= number <= high:
-        raise IzooError(f"{what} is {value!r}; it must lie in {_interval(low, high, unit)}.")
+        raise IzooError(f"{what} is {plain_number(value)!r}; it must lie in {_interval(low, high, unit)}.")
 
 
 def _interval(low: float, high: float, unit: str) -> str:
@@ -71,7 +71,7 @@ def _bound(value: float) -> str:
 def check_whole(what: str, value: object, low: int, high: int) -> int:
     """Return ``value``; raise :class:`IzooError` unless it is a whole number in ``[low, high]``."""
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not low <= int(value) <= high:
-        raise IzooError(f"{what} is {value!r}; it must be a whole number from {low} to {high}.")
+        raise IzooError(f"{what} is {plain_number(value)!r}; it must be a whole number from {low} to {high}.")
     return int(value)
 
 
@@ -105,13 +105,14 @@ def check_types(group: str, config: Any) -> None:
     for name, kind in typing.get_type_hints(type(config)).items():
         legal = _legal(kind)
         value = getattr(config, name, None)
-        if legal is not None and not any(check(value) for _, check in legal):
-            option = f"{group}.{name}" if group else name
-            raise IzooError(f"{option} is {value!r}; it must be {' or '.join(word for word, _ in legal)}.")
         parts = value if isinstance(value, (tuple, list)) else (value,)
         if any(hasattr(part, "dtype") for part in parts):
             plain = tuple(map(plain_number, parts))
-            object.__setattr__(config, name, plain if parts is value else plain[0])
+            value = plain if parts is value else plain[0]
+            object.__setattr__(config, name, value)
+        if legal is not None and not any(check(value) for _, check in legal):
+            option = f"{group}.{name}" if group else name
+            raise IzooError(f"{option} is {value!r}; it must be {' or '.join(word for word, _ in legal)}.")
 
 
 _Kind = tuple[str, Callable[[object], bool]]

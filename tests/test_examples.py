@@ -16,7 +16,7 @@ from tests.envs.worlds import crossing, short
 FOLDER = Path(__file__).resolve().parent.parent / "izoo" / "docs" / "examples"
 TESTED = {
     *("ppo_by_hand", "stock_torchrl", "sb3_ego", "own_contexts", "own_reward", "own_policy", "own_city"),
-    *("offline_data", "adoption", "rllib_ppo"),
+    *("offline_data", "adoption", "rllib_ppo", "ray_twins"),  # the last in training/test_ray.py
 }
 
 

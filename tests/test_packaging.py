@@ -61,13 +61,17 @@ def test_the_wheel_holds_all_modules_and_data(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     for top in ("izoo", *MAPPING):
         for path in (ROOT / top).rglob("*"):
-            if path.suffix in (".py", ".yaml", ".json", ".csv", ".osm", ".pt") and "__pycache__" not in path.parts:
+            if (
+                path.suffix in (".py", ".yaml", ".json", ".csv", ".npz", ".osm", ".pt")
+                and "__pycache__" not in path.parts
+            ):
                 inside = MAPPING.get(top, top)
                 assert f"{inside}/{path.relative_to(ROOT / top).as_posix()}" in names
     assert "izoo/py.typed" in names
     tops = {name.split("/")[0] for name in names if not name.split("/")[0].endswith(".dist-info")}
     assert tops == {"izoo"}, "envs, algos and benchmarks must not be top-level packages"
-    assert any(name.endswith("LICENSE") for name in names)
+    assert "izoo/emissions/data/LICENSE" in names
+    assert any(name.endswith("licenses/LICENSE") for name in names)
 
 
 @pytest.mark.slow
@@ -110,5 +114,5 @@ def test_no_index_host_is_named() -> None:
 
 
 def test_supported_versions() -> None:
-    assert PROJECT["project"]["requires-python"] == ">=3.10,<3.13"
+    assert PROJECT["project"]["requires-python"] == ">=3.10,<3.15"
     assert "MIT License" in (ROOT / "LICENSE").read_text()

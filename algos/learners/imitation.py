@@ -52,7 +52,7 @@ class WarmStart:
         """Return the losses to learn from where :attr:`active`: the imitation's for the objective, or the penalty too.
 
         Args:
-            actor: the loss's actor, with the parameters that learn.
+            actor: the loss's actor.
             rows: ``[n]`` a minibatch; it holds :data:`EXPERT_ACTION` while the policy imitates.
             found: the losses of reinforcement.
             progress: share of the run that is over.
@@ -65,18 +65,18 @@ class WarmStart:
         found.set("kl_to_start", divergence.detach())
         return found.set("loss_kl_to_start", weight * divergence)
 
-    def count(self, frames: int, parameters: TensorDictBase, progress: float) -> None:
+    def count(self, frames: int, actor: Any, progress: float) -> None:
         """Count a batch that has been learned from.
 
         Args:
             frames: of the batch.
-            parameters: of the actor, which are kept where the imitation ends.
+            actor: whose parameters are kept where the imitation ends.
             progress: share of the run that was over before the batch.
         """
         before, self.seen = self.imitating, self.seen + frames
         if before and not self.imitating:
             self.ended_at = progress
-            self.start = parameters.detach().clone()  # type: ignore[assignment]
+            self.start = _parameters(actor)
 
     def _divergence(self, actor: Any, rows: TensorDictBase) -> Tensor:
         """Return the mean KL(imitation || policy) of the normals before they are censored, which is no less."""
@@ -91,18 +91,23 @@ class WarmStart:
         start = None if self.start is None else self.start.to_dict()
         return {"seen": self.seen, "ended_at": self.ended_at, "start": start}
 
-    def load_state_dict(self, state: dict[str, Any], parameters: TensorDictBase) -> None:
+    def load_state_dict(self, state: dict[str, Any], actor: Any) -> None:
         """Restore what :meth:`state_dict` returned.
 
         Args:
             state: that.
-            parameters: of the actor, for their structure.
+            actor: for the structure of its parameters.
         """
         self.seen, self.ended_at = int(state["seen"]), float(state["ended_at"])
         self.start = None
         if state["start"] is not None:
             start = TensorDict.from_dict(state["start"], auto_batch_size=False)
-            self.start = parameters.detach().clone().update_(start)  # type: ignore[assignment]
+            self.start = _parameters(actor).update_(start)
+
+
+def _parameters(actor: Any) -> TensorDict:
+    """Return a copy of a module's parameters, by their place in it."""
+    return TensorDict.from_module(actor).detach().clone()
 
 
 def imitation_loss(actor: ProbabilisticTensorDictSequential, rows: TensorDictBase) -> Tensor:

@@ -269,6 +269,7 @@ class PPO:
 
     Attributes:
         advantage: ``[N, T, A]`` of the last batch, before it was normalised; 0 in empty slots.
+        weights: what is learned, by ``actor`` and ``critic``.
     """
 
     options: type[AlgoConfig] = PPOConfig
@@ -283,6 +284,8 @@ class PPO:
         self.critic = self.make_critic(features).to(device)
         self.loss = self.make_loss().to(device)
         self.loss.make_value_estimator()
+        networks = {"actor": self.loss.actor_network, "critic": self.loss.critic_network}
+        self.weights = {name: list(network.parameters()) for name, network in networks.items()}
         self.optimiser = torch.optim.Adam(self.loss.parameters(), lr=config.lr, eps=1e-5, fused=True)
         self.warm_start = WarmStart(0 if config.warm_start == "none" else config.warm_start_frames, config.kl_to_start)
 
@@ -316,6 +319,7 @@ class PPO:
             "kl_coeff": config.kl_coeff,
             "gamma": config.gamma,
             "lmbda": config.gae_lambda,
+            "functional": False,  # its parameters are those of the networks: nothing is swapped in at each minibatch
         }
 
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
@@ -339,8 +343,7 @@ class PPO:
         for minibatch in self._minibatches(rows):
             losses = self.loss(minibatch)
             if start.active:
-                with self.loss.actor_network_params.to_module(actor):
-                    losses = start.losses(actor, minibatch, losses, progress)
+                losses = start.losses(actor, minibatch, losses, progress)
             if bound is not None and float(losses["kl_approx"]) > bound:
                 break
             total = sum(value for key, value in losses.items() if key.startswith("loss_"))
@@ -351,7 +354,7 @@ class PPO:
             for key, value in losses.items():
                 totals[key] = totals.get(key, 0.0) + value.detach()
             steps += 1
-        start.count(batch.numel(), self.loss.actor_network_params, progress)
+        start.count(batch.numel(), actor, progress)
         stats = {key: float(value) / steps for key, value in totals.items()}
         if not imitates:  # while it imitates, the penalty does not act
             self._adapt_kl_weight(stats.get("kl"))
@@ -363,12 +366,8 @@ class PPO:
         """Bound the gradients; return their norms as they were."""
         bound = self.config.max_grad_norm or float("inf")
         if not self.config.separate_clips:
-            return {"grad_norm": nn.utils.clip_grad_norm_(self.loss.parameters(), bound)}
-        networks = {"actor": self.loss.actor_network_params, "critic": self.loss.critic_network_params}
-        return {
-            f"{name}_grad_norm": nn.utils.clip_grad_norm_(list(parameters.values(True, True)), bound)
-            for name, parameters in networks.items()
-        }
+            return {"grad_norm": nn.utils.clip_grad_norm_([*self.weights["actor"], *self.weights["critic"]], bound)}
+        return {f"{name}_grad_norm": nn.utils.clip_grad_norm_(weights, bound) for name, weights in self.weights.items()}
 
     @torch.no_grad()
     def advantages(self, batch: TensorDictBase) -> TensorDict:
@@ -390,8 +389,7 @@ class PPO:
         limit = self.config.rows_per_epoch or len(rows)
         for _ in range(self.config.epochs):
             order = torch.randperm(len(rows), device=rows.device)[:limit]
-            for part in order.split(self.config.minibatch_rows):
-                yield rows[part]
+            yield from rows[order].split(self.config.minibatch_rows)
 
     def _adapt_kl_weight(self, divergence: float | None) -> None:
         if divergence is None:
@@ -420,4 +418,4 @@ class PPO:
         self.loss.kl_weight.fill_(state["kl_weight"])
         if self.loss.value_norm is not None:
             self.loss.value_norm.load_state_dict(state["value_norm"])
-        self.warm_start.load_state_dict(state["warm_start"], self.loss.actor_network_params)
+        self.warm_start.load_state_dict(state["warm_start"], self.loss.actor_network)

@@ -20,6 +20,8 @@ from izoo.algos.networks.set_networks import FRAMES_AT_ONCE
 from izoo.errors import IzooError
 
 TEAM_REWARD = "team_reward"
+ROWS_AT_ONCE = 4096
+"""Most rows that go through a network at once where no gradient is needed: what fits into a cache is faster."""
 
 
 class MaskedGAE(GAE):
@@ -139,12 +141,15 @@ class MaskedGAE(GAE):
     def values(self, frames: TensorDictBase, wanted: Tensor) -> Tensor:
         """Return the values ``[wanted.sum(), 1]`` of the agents ``wanted`` ``[N, T, A]`` of ``frames`` ``[N, T]``."""
         network, key = self.value_network, self.tensor_keys.value
+        parts = [wanted.new_zeros((0, 1), dtype=torch.float32)]
         if not is_set_module(network):
-            return self._true(network(rows_of(frames, wanted, network.in_keys)).get(key))
+            rows = rows_of(frames, wanted, network.in_keys)
+            begins = range(0, len(rows), ROWS_AT_ONCE)
+            parts += [network(rows[begin : begin + ROWS_AT_ONCE]).get(key) for begin in begins]
+            return self._true(torch.cat(parts))
         some = wanted.any(-1)
         # All agents of a frame are needed, whichever are wanted.
         all_agents = frames.get(self.mask)[some] | wanted[some]
-        parts = [wanted.new_zeros((0, 1), dtype=torch.float32)]
         chosen, wanted, origin = frames[some], wanted[some], some.nonzero()
         for begin in range(0, len(chosen), FRAMES_AT_ONCE):
             part = slice(begin, begin + FRAMES_AT_ONCE)

@@ -14,7 +14,6 @@ from torchrl.objectives import ValueEstimators
 from izoo.algos.learners import base
 from izoo.algos.losses.empty_batch import has_no_agents, no_losses
 from izoo.algos.networks.masking import path_of, rows_of
-from izoo.algos.networks.set_networks import COLUMN, FRAME
 
 
 @dataclass
@@ -59,7 +58,7 @@ class OnTransitions:
         for key in after[: len(self.actor_network.in_keys)]:
             leaf = batch.get(key)
             cleared.set(key, torch.where(gone, torch.zeros_like(leaf), leaf))
-        return rows_of(cleared, mask, [*own, *after]).exclude(FRAME, COLUMN)
+        return rows_of(cleared, mask, [*own, *after])
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Return the losses (scalars) of a batch ``[*B, A]``, or of rows ``[n]`` without a mask; 0 without agents.

@@ -43,7 +43,7 @@ def human_units(
     approaches = len(road.approaches)
     unit_g = np.ones(approaches)
     arrivals = np.bincount(traffic.approach, minlength=approaches)
-    for p in np.flatnonzero(arrivals):
+    for p in np.flatnonzero(arrivals).tolist():
         own = np.flatnonzero(traffic.approach == p)
         classes = traffic.moves_class[own[:: max(len(own) // MAX_SAMPLED, 1)]]
         limit, length = float(road.speed_limit_mps[p]), float(road.lane_length_m[p])

@@ -21,7 +21,7 @@ from izoo.contexts.context import CV_VEHICLES, ENGINES, HOURS, SEASONS, Context
 from izoo.contexts.source import ContextList, Lazy
 from izoo.contexts.spec import LEG_NAMES
 from izoo.contexts.splits import SplitName, city_split
-from izoo.errors import IzooError, check_choice, check_range
+from izoo.errors import IzooError, check_choice, check_range, plain_number
 
 ADOPTIONS = (0.1, 0.2, 0.5, 0.75, 1.0)
 """Adoption levels of the catalogue."""
@@ -61,7 +61,9 @@ def find_id(city: str, intersection: int, season: str, adoption: float, hour: st
 def describe(context_id: int) -> Scenario:
     """Return what an id stands for, without building it."""
     if isinstance(context_id, bool) or not isinstance(context_id, (int, np.integer)) or not 0 <= context_id < SIZE:
-        raise IzooError(f"context id {context_id!r} does not exist; ids are integers from 0 to {SIZE - 1}.")
+        raise IzooError(
+            f"context id {plain_number(context_id)!r} does not exist; ids are integers from 0 to {SIZE - 1}."
+        )
     number = int(context_id)
     values = []
     for legal in reversed(_LEVELS):

@@ -76,7 +76,7 @@ def _accelerations(axes: Axes, estimate: Estimate) -> None:
     observed = (data.next_speed_mps - data.speed_mps)[data.used] / data.step_s
     low, high = np.quantile(observed, [0.001, 0.999])
     edges = np.linspace(low, high, BINS + 1)
-    axes.hist(observed, bins=edges, density=True, histtype="step", color=DATA, label="data")
+    axes.hist(observed, bins=edges.tolist(), density=True, histtype="step", color=DATA, label="data")
     both = data.used[:, :-1] & data.continues[:, 1:]
     shown = [
         np.histogram((v[:, 1:] - v[:, :-1])[both] / data.step_s, bins=edges, density=True)[0]

@@ -24,7 +24,7 @@ class MovesSurrogate(nn.Module):
     sigmoid is several times faster in torch on a CPU.
 
     Args:
-        weights: the networks; by default those of the installed ``neuralmoves``.
+        weights: the networks; by default those of ``neuralmoves`` 0.4.
     """
 
     w1: Tensor

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
-
-import pandas as pd
 
 from izoo.console import Progress
 from izoo.errors import IzooError
@@ -55,25 +54,19 @@ class RowsFile:
             return self
         try:
             text = read_text(self.path)
-            raw = pd.read_csv(
-                io.StringIO(text[: text.rfind("\n\n") + 1] or text),
-                float_precision="round_trip",
-                dtype={**dict.fromkeys(self.text, str), **dict.fromkeys(self.whole, "Int64")},
-                keep_default_na=False,  # a policy may be called "null", an intersection "NA"
-                na_values=[""],
-            )
-        except (OSError, ValueError) as error:
+            names, *records = filter(None, csv.reader(io.StringIO(text[: text.rfind("\n\n") + 1] or text)))
+            cells = [dict(zip(names, record, strict=True)) for record in records]
+            rows = [{column: self._value(column, row.get(column, "")) for column in self.columns} for row in cells]
+        except (OSError, ValueError, csv.Error) as error:
             raise IzooError(f"cannot read {self.path}: {str(error).splitlines()[0]}; choose another folder.") from error
-        missing = [column for column in self.columns if column not in raw and column not in self.optional]
+        missing = [column for column in self.columns if column not in names and column not in self.optional]
         if missing:
             raise IzooError(
                 f"{self.path} lacks the column(s) {', '.join(missing)}: another version of izoo wrote it; choose "
                 "another folder."
             )
-        as_written = tuple(raw.columns) == self.columns and text.endswith("\n\n")
-        raw = raw.reindex(columns=list(self.columns)).astype(object)
-        self.rows = raw.where(raw.notna(), None).to_dict("records")
-        if mend and not as_written:
+        self.rows = rows
+        if mend and not (tuple(names) == self.columns and text.endswith("\n\n")):
             self.replace(self.rows)
         return self
 
@@ -107,6 +100,15 @@ class RowsFile:
         self.rows = list(rows)
         if self.path is not None:
             write_text(self.path, self._lines(self.rows, header=True))
+
+    def _value(self, column: str, text: str) -> Any:
+        """Return what a cell holds; nothing and NaN are ``None``."""
+        if column in self.text:
+            return text or None
+        number = float(text or "nan")
+        if math.isnan(number):
+            return None
+        return int(text) if column in self.whole else number
 
     def _lines(self, rows: Iterable[Row], header: bool) -> str:
         text = io.StringIO()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections import defaultdict
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from izoo.emissions.classes import (
     TRANSIT_BUS,
     moves_class_index,
 )
-from izoo.emissions.tables import read_default_table
+from izoo.emissions.tables import read_moves_table
 
 CALENDAR_YEAR = 2019
 OLDEST_AGE = 10
@@ -66,7 +67,7 @@ def lengths_m(source_type: np.ndarray) -> np.ndarray:
 
 def _type_shares() -> dict[int, float]:
     """Return ``{source_type: share of the population}``."""
-    rows = read_default_table("source_type_population", lambda row: int(row["yearID"]) == CALENDAR_YEAR)
+    rows = read_moves_table("source_type_population")
     population = {int(row["sourceTypeID"]): float(row["sourceTypePopulation"]) for row in rows}
     total = sum(population[source_type] for source_type in FLEET_TYPES)
     return {source_type: population[source_type] / total for source_type in FLEET_TYPES}
@@ -74,28 +75,19 @@ def _type_shares() -> dict[int, float]:
 
 def _age_shares() -> dict[tuple[int, int], float]:
     """Return ``{(source_type, age): share}`` for ages 0 to 10; 10 stands for everything older too."""
-    shares = {(source_type, age): 0.0 for source_type in FLEET_TYPES for age in range(OLDEST_AGE + 1)}
-    for row in read_default_table("age_distribution", lambda row: row["yearID"] == str(CALENDAR_YEAR)):
-        source_type = int(row["sourceTypeID"])
-        if source_type in FLEET_TYPES:
-            shares[source_type, min(int(row["ageID"]), OLDEST_AGE)] += float(row["ageFraction"])
+    shares: dict[tuple[int, int], float] = defaultdict(float)
+    for row in read_moves_table("age_distribution"):
+        shares[int(row["sourceTypeID"]), min(int(row["ageID"]), OLDEST_AGE)] += float(row["ageFraction"])
     return shares
 
 
 def _fuel_shares() -> dict[tuple[int, int, int], float]:
     """Return ``{(source_type, model_year, fuel): share}`` among gasoline and diesel of that type and year."""
-    oldest = CALENDAR_YEAR - OLDEST_AGE
-    shares = {
-        (source_type, year, fuel): 0.0
-        for source_type in FLEET_TYPES
-        for year in range(oldest, CALENDAR_YEAR + 1)
-        for fuel in FUELS
-    }
-    for row in read_default_table("sample_vehicle_population", lambda row: row["fuelTypeID"] in ("1", "2")):
+    shares: dict[tuple[int, int, int], float] = defaultdict(float)
+    totals: dict[tuple[int, int], float] = defaultdict(float)
+    for row in read_moves_table("sample_vehicle_population"):
         key = (int(row["sourceTypeID"]), int(row["modelYearID"]), int(row["fuelTypeID"]))
-        if key in shares:
-            shares[key] += float(row["stmyFraction"])
-    totals = {(source_type, year): 0.0 for source_type, year, _ in shares}
+        shares[key] += float(row["stmyFraction"])
     for (source_type, year, _), share in shares.items():
         totals[source_type, year] += share
     return {key: share / totals[key[:2]] for key, share in shares.items()}

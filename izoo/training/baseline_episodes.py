@@ -4,20 +4,21 @@ On the twin such an episode costs little, and another run of the same seed finds
 can show what the policy changes, where raw returns and emissions rise and fall with the contexts that were drawn; and a
 learner can take the uncommanded episode's rewards from its own: the team's
 (:meth:`izoo.algos.learners.mappo.MAPPO.advantages`), or each vehicle's (:func:`izoo.algos.learners.decisions.shaped`).
+
+A process of their own plays them (:mod:`izoo.training.baseline_process`), from when an episode begins in training, or
+one block before.
 """
 
 from __future__ import annotations
 
-import itertools
+import functools
 import math
-from collections.abc import Callable, Generator, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
 from izoo.algos.learners.base import MASK, NUMBER, POTENTIAL
@@ -30,8 +31,8 @@ from izoo.envs.mdp.frame import TEAM_REWARD, TOTALS
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import HUMAN, UNCOMMANDED
-from izoo.results.playing import VEHICLE_REWARD, VEHICLE_SPANS, Series
-from izoo.results.rollout import Play, Played, rollout
+from izoo.results.playing import VEHICLE_REWARD, VEHICLE_SPANS, Play
+from izoo.training.baseline_process import BaselineProcess, Episode
 from izoo.training.environments import NUMBERS, split_totals
 from izoo.training.reward_to_go import RewardToGo
 
@@ -51,34 +52,15 @@ COMPARED = {
 a batch."""
 
 
-@dataclass(frozen=True)
-class _Numbered(Play):
-    """An episode of a schedule; ``place`` counts those that are compared."""
-
-    place: int
-
-
-class Episode(NamedTuple):
-    """An episode that was played without the policy.
-
-    Attributes:
-        series: what was recorded (:data:`izoo.results.playing.RECORDS`).
-        sums: ``[M]``, :data:`~izoo.envs.mdp.metric_sums.APPROACH_METRICS` added over approaches.
-    """
-
-    series: Series
-    sums: NDArray[np.float64]
-
-
 class BaselineSchedule:
-    """Every ``stride``-th episode of a schedule, without the policy; played in blocks, one prepared ahead.
+    """Every ``stride``-th episode of a schedule, without the policy; played in blocks.
 
     Args:
         config: options of the run.
         schedule: its episodes.
         driver: ``human`` or ``uncommanded``.
         stride: numbers of the episodes are multiples of it.
-        cache: folder where they are kept; ``None``: in the user's cache.
+        process: what plays them.
         record: what is recorded of them.
 
     Attributes:
@@ -91,65 +73,44 @@ class BaselineSchedule:
         schedule: Schedule,
         driver: str,
         stride: int,
-        cache: Path | None = None,
+        process: BaselineProcess,
         record: tuple[str, ...] = (),
     ) -> None:
-        self.config, self.schedule, self.driver, self.stride, self.cache = config, schedule, driver, stride, cache
-        self.record, self.env = record, _by_step(config.env)
+        self.schedule, self.driver, self.stride, self.process = schedule, driver, stride, process
+        self.record, self._last = record, math.inf
         if config.env.decide == STEP:
             episodes = config.environments + config.total_frames / config.env.decisions
             count = math.ceil(episodes / stride)
-            self.block = math.ceil(count / math.ceil(count / BLOCK))
+            blocks = math.ceil(count / BLOCK)
+            self.block, self._last = math.ceil(count / blocks), blocks - 1
         else:  # how many episodes the run needs is not known, but the environments play as many at a time
             self.block = math.ceil(config.environments / stride)
-        self._blocks: dict[int, dict[int, Episode]] = {}
-        self._stream: Generator[Played, None, None] | None = None
-        self._following = -1
+        self._blocks: dict[int, Future[list[Episode]]] = {}
+
+    def expect(self, numbers: Iterable[int]) -> None:
+        """Let episodes be played that the run will ask for, if it goes on as long as its options say."""
+        for block in sorted({number // self.stride // self.block for number in numbers}):
+            if block <= self._last:
+                self._begin(block)
 
     def episodes(self, numbers: Sequence[int]) -> dict[int, Episode]:
-        """Return the episodes of these numbers, multiples of the stride."""
-        places = {number: number // self.stride for number in numbers}
-        wanted = sorted({place // self.block for place in places.values()})
-        for block in wanted:
-            if block not in self._blocks:
-                self._blocks[block] = self._play(block)
-        for block in sorted(set(self._blocks) - set(wanted))[: max(len(self._blocks) - BLOCKS_KEPT, 0)]:
+        """Return the episodes of these numbers, multiples of the stride; wait for them where they are not there yet."""
+        places = {number: divmod(number // self.stride, self.block) for number in numbers}
+        wanted = {block for block, _ in places.values()}
+        for block in sorted(wanted):
+            self._begin(block)
+        found = {number: self._blocks[block].result()[place] for number, (block, place) in places.items()}
+        for block in sorted(set(self._blocks) - wanted)[: max(len(self._blocks) - BLOCKS_KEPT, 0)]:
             del self._blocks[block]
-        return {number: self._blocks[place // self.block][place] for number, place in places.items()}
-
-    def close(self) -> None:
-        """End the simulations."""
-        if self._stream is not None:
-            self._stream.close()
-            self._stream = None
-
-    def _play(self, block: int) -> dict[int, Episode]:
-        if self._stream is None or self._following != block:
-            self.close()
-            twin = self.config.twin
-            self._stream = rollout(
-                self._plays(block * self.block),
-                {},
-                self.env,
-                simulator=self.config.simulator,
-                executor="batch",
-                workers=usable_cores() if twin.threads is None else twin.threads,
-                record=self.record,
-                cache=self.cache,
-                progress=False,
-                side_by_side=self.block,
-                surrogate=twin.surrogate,
-            )
-        self._following = block + 1
-        found = {}
-        for play, rows, series in itertools.islice(self._stream, self.block):
-            sums = np.array([[row[name] for name in APPROACH_METRICS] for row in rows]).sum(0)
-            found[play.place] = Episode(series, sums)  # type: ignore[attr-defined]
         return found
 
-    def _plays(self, first: int) -> Iterator[_Numbered]:
-        for place in itertools.count(first):
-            yield _Numbered(self.driver, 0, *self.schedule(place * self.stride), place)
+    def _begin(self, block: int) -> None:
+        if block not in self._blocks:
+            self._blocks[block] = self.process.submit(functools.partial(self._plays, block), self.record)
+
+    def _plays(self, block: int) -> list[Play]:
+        numbers = range(block * self.block * self.stride, (block + 1) * self.block * self.stride, self.stride)
+        return [Play(self.driver, 0, *self.schedule(number)) for number in numbers]
 
 
 def _by_step(env: EnvConfig) -> EnvConfig:
@@ -180,16 +141,25 @@ class BaselineComparison:
         cache: Path | None = None,
         level: Callable[[int], int] | None = None,
     ) -> None:
-        self._level = level or int
-        self.every, self._skipped = config.twin.compare_every, config.staggered
+        self._level, self._in_order = level or int, level is None
+        self.every, self._skipped, self._envs = config.twin.compare_every, config.staggered, config.environments
         by_step = config.env.decide == STEP
-        self.hold_steps = _by_step(config.env).hold_steps
+        env, twin = _by_step(config.env), config.twin
+        self.hold_steps = env.hold_steps
         self.gamma: float = getattr(config.algo, "gamma", 1.0) if by_step else 1.0
         self.variate: str = getattr(config.algo, "control_variate", "none")
         self._reward_to_go: dict[int, RewardToGo] = {}
+        self._process = BaselineProcess(
+            config=env,
+            simulator=config.simulator,
+            executor="batch",
+            workers=usable_cores() if twin.threads is None else twin.threads,
+            cache=cache,
+            surrogate=twin.surrogate,
+        )
 
         def make(driver: str, stride: int, record: tuple[str, ...] = ()) -> BaselineSchedule:
-            return BaselineSchedule(config, schedule, driver, stride, cache, record)
+            return BaselineSchedule(config, schedule, driver, stride, self._process, record)
 
         self._compared = {driver: make(driver, self.every) for driver in COMPARED} if self.every else {}
         self._subtracted = make(UNCOMMANDED, 1, RECORDED[self.variate]) if self.variate in RECORDED else None
@@ -198,14 +168,30 @@ class BaselineComparison:
 
     def close(self) -> None:
         """End the simulations."""
-        for baseline in (*self._compared.values(), self._subtracted):
-            if baseline is not None:
-                baseline.close()
+        self._process.close()
+
+    def expect(self, numbers: Sequence[int]) -> None:
+        """Let episodes be played before they are asked for: those in progress, and the ones that follow.
+
+        Args:
+            numbers: of the episodes in progress; none: the run begins.
+        """
+        levels = {number: self._level(number) for number in numbers}
+        if self._in_order:  # else what follows may not have been drawn yet
+            following = max(numbers, default=-1) + 1
+            ahead = self._envs if numbers else 2 * self._envs
+            levels |= {number: number for number in range(following, following + ahead)}
+        if self._subtracted is not None:
+            self._subtracted.expect(levels.values())
+        for baseline in self._compared.values():
+            whole = [level for number, level in levels.items() if number >= self._skipped]
+            baseline.expect(level for level in whole if level % self.every == 0)
 
     def add(self, batch: TensorDictBase) -> None:
         """Set what the learner subtracts from a batch ``[N, T]``: :data:`~izoo.algos.learners.mappo.TEAM_BASELINE`, or
         :data:`~izoo.algos.learners.base.POTENTIAL` at the root and under ``"next"``.
         """
+        self.expect(batch.get(("next", NUMBERS))[:, -1, 0].tolist())
         if self.variate == "team":
             self._add_team_rewards(batch)
         elif self.variate == "vehicle":

@@ -123,6 +123,8 @@ class Session:
         elif batched:
             self._baselines = BaselineComparison(self.config, state.schedule())
         try:
+            if self._baselines is not None:
+                self._baselines.expect(state.environments.get("episodes", ()))
             self.state.load(batches)
             self._learn_from(batches, interrupt)
             state.environments = batches.environments()

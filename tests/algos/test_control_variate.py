@@ -77,15 +77,14 @@ def test_what_is_taken_away_depends_on_no_action() -> None:
 def gradients(algorithm: MAPPO, episodes_of: int) -> torch.Tensor:
     """Policy gradients ``[episodes, parameters]``, one per draw of actions and of the place."""
     found = []
-    parameters = [p for p in algorithm.loss.actor_network_params.values(True, True) if p.requires_grad]
+    parameters = list(algorithm.loss.actor_network.parameters())
     for seed in range(episodes_of):
         batch = episodes(algorithm, seed)
         mask = batch[base.MASK]
         advantage = raw_advantages(algorithm, batch)[mask]
         rows = TensorDict({base.OBSERVATION: batch[base.OBSERVATION][mask], base.ACTION: batch[base.ACTION][mask]})
         rows.batch_size = [len(advantage)]
-        with algorithm.loss.actor_network_params.to_module(algorithm.loss.actor_network):
-            log_prob = algorithm.loss.actor_network.get_dist(rows).log_prob(rows[base.ACTION])
+        log_prob = algorithm.loss.actor_network.get_dist(rows).log_prob(rows[base.ACTION])
         own = torch.autograd.grad((log_prob * advantage).sum() / 12.0, parameters)
         found.append(torch.cat([part.reshape(-1) for part in own]))
     return torch.stack(found)

@@ -141,8 +141,8 @@ def test_separate_clips_bound_each_network_by_itself() -> None:
     batch["next", "agents", "reward"] *= 1e4  # large value errors
     stats = ppo.update(batch, 0.0)
     assert stats["critic_grad_norm"] > 0.1 and stats["actor_grad_norm"] > 0.0
-    for parameters in (ppo.loss.actor_network_params, ppo.loss.critic_network_params):
-        norm = torch.stack([p.grad.norm() for p in parameters.values(True, True)]).norm()
+    for network in (ppo.loss.actor_network, ppo.loss.critic_network):
+        norm = torch.stack([p.grad.norm() for p in network.parameters()]).norm()
         assert float(norm) <= 0.1001
     assert float(torch.stack([p.grad.norm() for p in ppo.policy.parameters()]).norm()) > min(
         0.099, 0.99 * stats["actor_grad_norm"]

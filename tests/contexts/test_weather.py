@@ -1,16 +1,17 @@
-"""Weather by city and season against the tables of neuralmoves."""
+"""Weather by city and season against MOVES' county meteorology."""
 
 import itertools
 
+import pandas as pd
 import pytest
-from neuralmoves.defaults import load_county_meteorology
 
 from izoo.contexts.cities.weather import CITY_COUNTIES, SEASON_MONTHS, weather
 from izoo.contexts.context import SEASONS
+from izoo.emissions.tables import DATA
 
 
 def test_weather_is_the_mean_of_the_seasons_months():
-    table = load_county_meteorology()
+    table = pd.read_csv(DATA / "county_meteorology.csv")
     for city, season in itertools.product(CITY_COUNTIES, SEASONS):
         rows = table[(table.countyID == CITY_COUNTIES[city]) & table.monthID.isin(SEASON_MONTHS[season])]
         assert len(rows) == 3

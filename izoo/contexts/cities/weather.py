@@ -6,7 +6,7 @@ import functools
 from types import MappingProxyType
 
 from izoo.contexts.context import SEASONS
-from izoo.emissions.tables import read_default_table
+from izoo.emissions.tables import read_moves_table
 from izoo.errors import check_choice
 
 CITY_COUNTIES = MappingProxyType(
@@ -48,9 +48,7 @@ def weather(city: str, season: str) -> tuple[float, float]:
 @functools.lru_cache(maxsize=1)
 def _monthly_weather() -> dict[tuple[int, int], tuple[float, float]]:
     """Return ``{(county, month): (temperature_f, humidity_pct)}`` of the cities' counties."""
-    counties = {str(county) for county in CITY_COUNTIES.values()}
-    rows = read_default_table("county_meteorology", lambda row: row["countyID"] in counties)
     return {
         (int(row["countyID"]), int(row["monthID"])): (float(row["temperature_F"]), float(row["relHumidity_pct"]))
-        for row in rows
+        for row in read_moves_table("county_meteorology")
     }

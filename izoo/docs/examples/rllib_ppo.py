@@ -1,6 +1,6 @@
 """RLlib's PPO on the PettingZoo view: every controlled vehicle is an agent, and all share one policy.
 
-Needs ``pip install 'izoo[pettingzoo]' 'ray[rllib]' 'numpy<2'``.
+Needs ``pip install 'izoo[pettingzoo]' 'ray[rllib]'``.
 """
 
 from __future__ import annotations
