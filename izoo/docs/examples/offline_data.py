@@ -20,7 +20,7 @@ from izoo.envs import EnvConfig
 from izoo.results import evaluate_policy, print_summary, summarise
 from izoo.results.selection import choose_contexts
 
-TRAFFIC = {
+TRAFFIC: dict[str, Any] = {
     "lane_count": 1,
     "phase_count": 1,
     "inflow_vph_per_lane": "400..600",
@@ -68,7 +68,8 @@ class Clone(nn.Module):
 
 def fit(buffer: TensorDictReplayBuffer, updates: int) -> tuple[Clone, list[float]]:
     """Fit a clone to the driver's commands; return it and the losses."""
-    clone, losses = Clone(), []
+    clone = Clone()
+    losses: list[float] = []
     clone.network(transitions(buffer[:1])["observation"])
     optimiser = torch.optim.Adam(clone.parameters(), lr=1e-3)
     while len(losses) < updates:
