@@ -128,7 +128,9 @@ class Table:
         if sum(2 + _width([headings[k], *(text[k] for text in texts)]) for k in range(len(headings))) > width:
             for k in columns:
                 most = _width([text[k] for text in texts] or [headings[k]])
-                headings[k] = "\n".join(textwrap.fill(h, most, break_long_words=False) for h in headings[k].split("\n"))
+                headings[k] = "\n".join(
+                    textwrap.fill(h, max(most, 1), break_long_words=False) for h in headings[k].split("\n")
+                )
         taken = sum(2 + _width([headings[k], *(text[k] for text in texts)]) for k in columns)
         shown = RichTable(title=Text(plain(self.title)), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
         shown.padding = (0, 1, 0, 0)

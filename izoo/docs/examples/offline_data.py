@@ -20,7 +20,7 @@ from izoo.envs import EnvConfig
 from izoo.results import evaluate_policy, print_summary, summarise
 from izoo.results.selection import choose_contexts
 
-TRAFFIC = {
+TRAFFIC: dict[str, Any] = {
     "lane_count": 1,
     "phase_count": 1,
     "inflow_vph_per_lane": "400..600",
@@ -68,7 +68,8 @@ class Clone(nn.Module):
 
 def fit(buffer: TensorDictReplayBuffer, updates: int) -> tuple[Clone, list[float]]:
     """Fit a clone to the driver's commands; return it and the losses."""
-    clone, losses = Clone(), []
+    clone = Clone()
+    losses: list[float] = []
     clone.network(transitions(buffer[:1])["observation"])
     optimiser = torch.optim.Adam(clone.parameters(), lr=1e-3)
     while len(losses) < updates:
@@ -102,9 +103,10 @@ def main(
         evaluate_policy("glide", played, [0], config, out=results, cache=cache)
         summary = summarise(evaluate_policy(clone, played, [0], config, name="clone", out=results, cache=cache))
     print_summary(summary)
-    (pair,) = summary["pairwise"]  # the first entry less the second
-    behind = pair["difference"]["value"] * (1 if pair["x"] == "glide" else -1)
-    print(f"The clone {'beats' if behind < 0 else 'misses'} glide by {abs(behind):.1f} points of CO2 saved.")
+    (pair,) = summary["pairwise"]  # the first entry less the second, intersection by intersection
+    value, ends = pair["difference"]["value"], [pair["difference"][end] for end in ("low", "high")]
+    interval = "" if None in ends else f" [{ends[0]:.1f}, {ends[1]:.1f}]"
+    print(f"{pair['x']} less {pair['y']}: {value:+.1f} points of CO2 saved{interval}, {pair['verdict']}.")
     return losses, summary
 
 
