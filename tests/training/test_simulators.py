@@ -45,7 +45,7 @@ def test_a_run_on_the_twin_says_so_and_validates_where_it_is_told(
 
 def test_data_from_the_twin(tmp_path: Path) -> None:
     out = tmp_path / "data"
-    assert collect.main([*EASY, "simulator=twin", "num_envs=4", "frames=400", f"out={out}"]) == 0
+    assert collect.main([*EASY, "simulator=twin", "num_envs=4", "frames=400", "env.emit=[context]", f"out={out}"]) == 0
     assert json.loads((out / "manifest.json").read_text())["simulator"] == "twin"
     steps = collect.load(out)
     assert len(steps) >= 400 and steps["context", "episode"].unique().tolist()[:4] == [0, 1, 2, 3]
