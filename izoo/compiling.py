@@ -22,9 +22,10 @@ import filelock
 import numba
 from llvmlite import ir
 from numba import extending
-from numba.core import caching, cgutils, types
+from numba.core import caching, cgutils, event, types
 from numba.np.arrayobj import make_array, populate_array
 
+from izoo.console import Progress
 from izoo.errors import IzooError
 from izoo.files import cache_root
 
@@ -41,7 +42,7 @@ _PATIENCE_S = 120.0
 _KEPT_S = 24 * 3600.0
 """For so long compiled code of older sources is kept after a process last began to use it: it may still run."""
 _MARK = "writable"
-MESSAGE = "Compiling the environment: ten to thirty seconds, the twin one to two minutes, once per installation."
+MESSAGE = "Compiling the environment, once per installation."
 
 
 def sources() -> list[Path]:
@@ -264,8 +265,45 @@ def compiling_once(kernel: Any) -> Iterator[None]:
         if is_there():
             lock.release()
         else:
-            with contextlib.suppress(OSError):  # the output may be lost
-                print(MESSAGE, file=sys.stderr)
+            with _shown(kernel):
+                yield
+            return
         yield
     finally:
         lock.release()
+
+
+@contextlib.contextmanager
+def _shown(kernel: Any) -> Iterator[None]:
+    """Show on standard error which of the functions that ``kernel`` calls are compiled."""
+    functions = _reached(kernel)
+    total = len(functions)
+
+    class Listener(event.Listener):  # type: ignore[misc]
+        def on_start(self, happening: Any) -> None: ...
+
+        def on_end(self, happening: Any) -> None:
+            function = happening.data["dispatcher"].py_func
+            if function in functions:
+                functions.remove(function)
+                with contextlib.suppress(OSError):  # the output may be lost
+                    bar.update(total - len(functions), (function.__module__ or function.__name__).removeprefix("izoo."))
+
+    with contextlib.suppress(OSError):
+        print(MESSAGE, file=sys.stderr)
+    bar = Progress(total, unit="functions", file=sys.stderr)
+    with bar, event.install_listener("numba:compile", Listener()):
+        yield
+
+
+def _reached(kernel: Any) -> set[Callable[..., Any]]:
+    """Return the functions that are compiled for ``kernel``: its own, and all that it calls."""
+    found: set[Callable[..., Any]] = set()
+    left = [kernel.py_func]
+    while left:
+        function = left.pop()
+        if function not in found:
+            found.add(function)
+            called = (function.__globals__.get(name) for name in function.__code__.co_names)
+            left += [value.py_func for value in called if hasattr(value, "py_func")]
+    return found
