@@ -297,13 +297,15 @@ def _shown(kernel: Any) -> Iterator[None]:
 
 
 def _reached(kernel: Any) -> set[Callable[..., Any]]:
-    """Return the functions that are compiled for ``kernel``: its own, and all that it calls."""
-    found: set[Callable[..., Any]] = set()
-    left = [kernel.py_func]
+    """Return the functions that are compiled for ``kernel``: its own and all that it calls, unless inlined."""
+    found: dict[Callable[..., Any], Any] = {}
+    left = [kernel]
     while left:
-        function = left.pop()
+        dispatcher = left.pop()
+        function = dispatcher.py_func
         if function not in found:
-            found.add(function)
+            found[function] = dispatcher
             called = (function.__globals__.get(name) for name in function.__code__.co_names)
-            left += [value.py_func for value in called if hasattr(value, "py_func")]
-    return found
+            left += [value for value in called if hasattr(value, "py_func")]
+    options = {function: getattr(dispatcher, "targetoptions", {}) for function, dispatcher in found.items()}
+    return {function for function, given in options.items() if given.get("inline") != "always"}
