@@ -150,7 +150,7 @@ def _handed_on(kind: Any) -> Any:
 
 def _inner(function: Callable[..., Any], cache: bool, options: dict[str, Any]) -> Any:
     """Compile a function as other compiled code calls it: without the entry from Python, a sixth of the work."""
-    inner = numba.njit(**options, no_cpython_wrapper=True)(function)
+    inner = numba.njit(**options | {"no_cpython_wrapper": True})(function)
     if cache:
         inner._cache = _Cache(function, ".inner")
     return inner
@@ -176,6 +176,8 @@ def compiled(
         options["_nrt"] = False
     options["no_cfunc_wrapper"] = True
     settings: Any = numba.config
+    if settings.DISABLE_JIT:  # :func:`compiling_once` says so
+        return function
     before = settings.CACHE_DIR
     settings.CACHE_DIR = before or str(folder())
     try:
