@@ -22,9 +22,10 @@ import filelock
 import numba
 from llvmlite import ir
 from numba import extending
-from numba.core import caching, cgutils, types
+from numba.core import caching, cgutils, event, types
 from numba.np.arrayobj import make_array, populate_array
 
+from izoo.console import Progress
 from izoo.errors import IzooError
 from izoo.files import cache_root
 
@@ -41,7 +42,7 @@ _PATIENCE_S = 120.0
 _KEPT_S = 24 * 3600.0
 """For so long compiled code of older sources is kept after a process last began to use it: it may still run."""
 _MARK = "writable"
-MESSAGE = "Compiling the environment: ten to thirty seconds, the twin one to two minutes, once per installation."
+MESSAGE = "Compiling the environment, once per installation."
 
 
 def sources() -> list[Path]:
@@ -112,10 +113,10 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
 
     _impl_class = _Implementation
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], suffix: str = "") -> None:
         super().__init__(function)
         kept = Path(self.cache_path)
-        about = self._impl.filename_base, self._impl.locator.get_source_stamp()
+        about = self._impl.filename_base + suffix, self._impl.locator.get_source_stamp()
         self._places = [
             caching.IndexDataCacheFile(str(place), *about) for place in dict.fromkeys((kept, _beside() / kept.name))
         ]
@@ -137,6 +138,24 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
             super().save_overload(sig, data)
 
 
+def _handed_on(kind: Any) -> Any:
+    """Return as what type compiled code hands a value of type ``kind`` on to a function.
+
+    A constant is handed on as any value of its type, and a whole number of 32 bits as one of 64. numba would compile
+    the function, and all that it calls, again for each.
+    """
+    kind = types.unliteral(kind)
+    return types.int64 if kind == types.int32 else kind
+
+
+def _inner(function: Callable[..., Any], cache: bool, options: dict[str, Any]) -> Any:
+    """Compile a function as other compiled code calls it: without the entry from Python, a sixth of the work."""
+    inner = numba.njit(**options | {"no_cpython_wrapper": True})(function)
+    if cache:
+        inner._cache = _Cache(function, ".inner")
+    return inner
+
+
 def compiled(
     function: Callable[..., Any] | None = None, *, borrows: bool = False, cache: bool = True, **options: Any
 ) -> Any:
@@ -155,13 +174,21 @@ def compiled(
         return functools.partial(compiled, borrows=borrows, cache=cache, **options)
     if borrows:
         options["_nrt"] = False
+    options["no_cfunc_wrapper"] = True
     settings: Any = numba.config
+    if settings.DISABLE_JIT:  # :func:`compiling_once` says so
+        return function
     before = settings.CACHE_DIR
     settings.CACHE_DIR = before or str(folder())
     try:
         dispatcher = numba.njit(**options)(function)
         if cache:
             dispatcher._cache = _Cache(function)
+        inner = _inner(function, cache, options)
+        dispatcher.get_call_template = lambda args, kws: inner.get_call_template(
+            tuple(map(_handed_on, args)), {name: _handed_on(kind) for name, kind in kws.items()}
+        )
+        dispatcher.get_overload = inner.get_overload
         return dispatcher
     finally:
         settings.CACHE_DIR = before
@@ -240,8 +267,47 @@ def compiling_once(kernel: Any) -> Iterator[None]:
         if is_there():
             lock.release()
         else:
-            with contextlib.suppress(OSError):  # the output may be lost
-                print(MESSAGE, file=sys.stderr)
+            with _shown(kernel):
+                yield
+            return
         yield
     finally:
         lock.release()
+
+
+@contextlib.contextmanager
+def _shown(kernel: Any) -> Iterator[None]:
+    """Show on standard error which of the functions that ``kernel`` calls are compiled."""
+    functions = _reached(kernel)
+    total = len(functions)
+
+    class Listener(event.Listener):  # type: ignore[misc]
+        def on_start(self, happening: Any) -> None: ...
+
+        def on_end(self, happening: Any) -> None:
+            function = happening.data["dispatcher"].py_func
+            if function in functions:
+                functions.remove(function)
+                with contextlib.suppress(OSError):  # the output may be lost
+                    bar.update(total - len(functions), (function.__module__ or function.__name__).removeprefix("izoo."))
+
+    with contextlib.suppress(OSError):
+        print(MESSAGE, file=sys.stderr)
+    bar = Progress(total, unit="functions", file=sys.stderr)
+    with bar, event.install_listener("numba:compile", Listener()):
+        yield
+
+
+def _reached(kernel: Any) -> set[Callable[..., Any]]:
+    """Return the functions that are compiled for ``kernel``: its own and all that it calls, unless inlined."""
+    found: dict[Callable[..., Any], Any] = {}
+    left = [kernel]
+    while left:
+        dispatcher = left.pop()
+        function = dispatcher.py_func
+        if function not in found:
+            found[function] = dispatcher
+            called = (function.__globals__.get(name) for name in function.__code__.co_names)
+            left += [value for value in called if hasattr(value, "py_func")]
+    options = {function: getattr(dispatcher, "targetoptions", {}) for function, dispatcher in found.items()}
+    return {function for function, given in options.items() if given.get("inline") != "always"}

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numba
 import numpy as np
 import pytest
+from numba.core import event
 
 from izoo import compiling
 
@@ -195,3 +196,21 @@ def test_a_function_that_only_borrows_may_not_make_an_array() -> None:
     assert compiling.compiled(reads, borrows=True, cache=False)(np.arange(4.0)) == 6.0
     with pytest.raises(numba.core.errors.NumbaError, match="passed into the function"):
         compiling.compiled(makes, borrows=True, cache=False)(3)
+
+
+def test_a_constant_or_a_short_whole_number_does_not_compile_a_function_again() -> None:
+    @compiling.compiled(cache=False)
+    def add(x, y):  # type: ignore[no-untyped-def]
+        return x + y
+
+    @compiling.compiled(cache=False)
+    def add_up(short):  # type: ignore[no-untyped-def]
+        total = 0
+        for k in range(short.shape[0]):
+            total = add(total, short[k])
+        return add(total, 1)
+
+    with event.install_recorder("numba:compile") as recorder:
+        assert add_up(np.arange(3, dtype=np.int32)) == 4
+    assert sum(happening.is_start for _, happening in recorder.buffer) == 2
+    assert add(1, 2) == 3, "from Python as well"

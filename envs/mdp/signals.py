@@ -53,7 +53,9 @@ def _phase_at(time_s, clock):  # type: ignore[no-untyped-def]
     in_cycle = (time_s - clock.offset_s) % clock.cycle_s
     if clock.cycle_s - in_cycle < 1e-6:  # the end of a cycle is the beginning of the next
         in_cycle = 0.0
-    phase = np.searchsorted(clock.phase_begin_s, in_cycle + 1e-6, side="right") - 1
+    phase = 0
+    while phase + 1 < clock.phase_begin_s.shape[0] and clock.phase_begin_s[phase + 1] <= in_cycle + 1e-6:
+        phase += 1
     return phase, in_cycle - clock.phase_begin_s[phase]
 
 

@@ -7,6 +7,8 @@ of them in between.
 
 from __future__ import annotations
 
+import numpy as np
+
 from izoo.compiling import compiled
 from izoo.emissions.kernel import emission_rate
 from izoo.envs.mdp.columns import (
@@ -141,12 +143,12 @@ def compute_emissions(world):  # type: ignore[no-untyped-def]
         floats[r, EMISSION] = 0.0
         if not tables.flags[r, ELECTRIC]:
             rate = emission_rate(
-                floats[r, SPEED],
-                floats[r, ACCEL],
-                floats[r, GRADE],
+                np.float32(floats[r, SPEED]),
+                np.float32(floats[r, ACCEL]),
+                np.float32(floats[r, GRADE]),
                 tables.ints[r, MOVES_CLASS],
-                rules.temperature_c,
-                rules.humidity_pct,
+                np.float32(rules.temperature_c),
+                np.float32(rules.humidity_pct),
                 world.surrogate,
             )
             floats[r, EMISSION] = rate * rules.step_s

@@ -146,6 +146,17 @@ class TwinBackend:
                 self._runs[index] = run
                 self._most_vehicles = max(self._most_vehicles, len(prepared.traffic))
                 self._addresses[index], self._left[index] = run.addresses, self.config.total_steps
+            self._compile()
+
+    def _compile(self) -> None:
+        """Compile what steps call while other processes wait for it, by stepping no environment."""
+        if self._runs[0] is not None:
+            none, like, emitter, ranges = slice(0, 0), self._runs[0].episode.world, self._emitters[0], self._ranges[0]
+            if self.surrogate == "compiled":
+                self._drive_share(none, self._left[none], False, emitter, ranges, like)
+            else:
+                drive_all(self._addresses[none], self._step_ms, self.config.lane_change, like, emitter.by_class, ranges)
+                conclude_all(self._addresses[none], like, ranges)
 
     def _prepare_now(self, plays: Mapping[int, Play]) -> None:
         """Let processes prepare what is not ready, where there are some; or else build the nets together."""

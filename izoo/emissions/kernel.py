@@ -58,6 +58,7 @@ def emission_rate_kernel(  # type: ignore[no-untyped-def]
     Raises:
         IndexError: an active vehicle's class is not in the table.
     """
+    temperature, humidity = np.float32(temperature_c), np.float32(humidity_pct)
     for v in range(out_gps.shape[0]):
         if not active[v]:
             out_gps[v] = 0.0
@@ -66,7 +67,7 @@ def emission_rate_kernel(  # type: ignore[no-untyped-def]
         if c < 0 or c >= weights.floor.shape[0]:
             raise IndexError("moves_class of an active vehicle is outside CLASSES")
         motion = speed_mps[v], accel_mps2[v], grade_pct[v]
-        out_gps[v] = emission_rate(*motion, c, temperature_c, humidity_pct, weights)
+        out_gps[v] = emission_rate(*motion, c, temperature, humidity, weights)
 
 
 # Inlined: called, it is handed all arrays of the weights, which costs a third of its time.

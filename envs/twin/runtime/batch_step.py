@@ -48,7 +48,7 @@ from izoo.envs.twin.runtime.region_view import open_guests
 _STEPS = EPISODE_METRIC["steps"]
 
 
-@compiled(nogil=True)
+@compiled(borrows=True, nogil=True)
 def drive_all(addresses, step_ms, lane_change, like, by_class, ranges):  # type: ignore[no-untyped-def]
     """Play the first half of a step in some environments.
 
@@ -70,7 +70,7 @@ def drive_all(addresses, step_ms, lane_change, like, by_class, ranges):  # type:
         count_classes(world, by_class)
 
 
-@compiled(nogil=True)
+@compiled(borrows=True, nogil=True)
 def conclude_all(addresses, like, ranges):  # type: ignore[no-untyped-def]
     """Play the second half of a step; CO2 is there."""
     for k in range(addresses.shape[0]):
@@ -78,7 +78,7 @@ def conclude_all(addresses, like, ranges):  # type: ignore[no-untyped-def]
         _conclude(world_at(addresses[k, WORLD_AT], like), addresses, k)
 
 
-@compiled(nogil=True)
+@compiled(borrows=True, nogil=True)
 def play_all(addresses, steps, until_due, step_ms, lane_change, like, rows, ranges):  # type: ignore[no-untyped-def]
     """Play whole steps, with CO2 from the compiled surrogate: ``steps [n]`` in each environment.
 
@@ -99,10 +99,13 @@ def play_all(addresses, steps, until_due, step_ms, lane_change, like, rows, rang
             n = 0
             for k in range(first, last):
                 if steps[k] > played:
-                    rows.chosen[n] = addresses[k]
+                    _copy_row(addresses, k, rows.chosen, n)
                     n += 1
-            # Behind them, for its memory, who is played next.
-            rows.chosen[n] = rows.chosen[0] if played + 1 < most else addresses[last % count]
+            # Behind them, for its memory, the one that is played next.
+            if played + 1 < most:
+                _copy_row(rows.chosen, 0, rows.chosen, n)
+            else:
+                _copy_row(addresses, last % count, rows.chosen, n)
             _play_group(rows.chosen[: n + 1], n, step_ms, lane_change, like, rows, ranges)
             if until_due:
                 for k in range(first, last):
@@ -114,6 +117,13 @@ def play_all(addresses, steps, until_due, step_ms, lane_change, like, rows, rang
 
 
 @compiled(borrows=True)
+def _copy_row(source, i, target, j):  # type: ignore[no-untyped-def]
+    """Copy a row. A slice assignment would compile the text of an error message that cannot occur."""
+    for c in range(source.shape[1]):
+        target[j, c] = source[i, c]
+
+
+@compiled(borrows=True, inline="always")
 def _play_group(addresses, count, step_ms, lane_change, like, rows, ranges):  # type: ignore[no-untyped-def]
     """Play a step of the first ``count`` environments."""
     rows.by_class[:] = 0
@@ -136,7 +146,7 @@ def warm_up_all(addresses, steps, step_ms, ranges):  # type: ignore[no-untyped-d
             step(addresses[k, NET_AT], addresses[k, TRAFFIC_AT], addresses[k, STATE_AT], step_ms, ranges)
 
 
-@compiled(borrows=True)
+@compiled(borrows=True, inline="always")
 def _drive(world, addresses, k, step_ms, lane_change, ranges):  # type: ignore[no-untyped-def]
     net, state = open_net(addresses[k, NET_AT]), open_state(addresses[k, STATE_AT])
     guests = open_guests(addresses[k, GUESTS_AT])
@@ -235,7 +245,7 @@ def _read(tables, net, state, guests):  # type: ignore[no-untyped-def]
         guests.signals[j] = state.vehicles[v].signals
 
 
-@compiled(borrows=True)
+@compiled(borrows=True, inline="always")
 def _conclude(world, addresses, k):  # type: ignore[no-untyped-def]
     guests = open_guests(addresses[k, GUESTS_AT])
     steps = world.tables.episode[_STEPS] + 1.0
