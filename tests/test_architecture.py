@@ -182,7 +182,7 @@ def test_the_top_level_is_what_was_agreed() -> None:
     seen = {entry.name for entry in ROOT.iterdir() if not entry.name.startswith(".")} - products
     seen = {name for name in seen if not name.endswith(".egg-info")}
     assert seen == {
-        *("pyproject.toml", "izoo", "envs", "algos", "benchmarks", "tests", "README.md"),
+        *("pyproject.toml", "izoo", "envs", "algos", "benchmarks", "tests", "results", "README.md"),
         *("Makefile", "constraints.txt", "LICENSE", "Dockerfile", "mkdocs.yml"),
         *("CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md"),
     }

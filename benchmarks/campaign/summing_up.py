@@ -59,7 +59,10 @@ def sum_up(run: PartRun, lacking: Sequence[Any] = ()) -> list[Summary]:
         shown = tables.entries(found[0])
         charts = [dataclasses.replace(plots.forest(shown, column=column), title="") for column in range(2)]
         traded = plots.tradeoff(found[0]) if run.part.tradeoff else None
-        save(draw([*charts, *([traded] if traded else [])], shown.title), folder / PICTURE_FILE)
+        save(
+            draw([*charts, *([traded] if traded else [])], shown.title.removesuffix(" but for one column")),
+            folder / PICTURE_FILE,
+        )
     if not lacking:
         write_entries(folder)
     curves = draw_curves(folder, run.part.grid)

@@ -25,7 +25,7 @@ class RowsFile:
     Args:
         path: of the file; ``None`` keeps rows in memory.
         columns: in order.
-        text, whole: names of columns of words and of whole numbers; all others are floats.
+        text, whole: names of columns of words and of whole numbers; all others are floats, or true and false.
         optional: names of columns that a file may lack; they are then empty.
 
     Attributes:
@@ -105,6 +105,8 @@ class RowsFile:
         """Return what a cell holds; nothing and NaN are ``None``."""
         if column in self.text:
             return text or None
+        if text in ("True", "False"):
+            return text == "True"
         number = float(text or "nan")
         if math.isnan(number):
             return None

@@ -121,7 +121,7 @@ def test_options_of_a_runs_own_contexts_are_changed(
     assert main(["run=run", "contexts.split=test"]) == 2
     assert "contexts.split" in capsys.readouterr().err
     assert main(["run=run", "contexts.adoption=0.5", "num_contexts=1", "seeds=1", "num_workers=0", *short[:2]]) == 0
-    assert "contexts=pcg, 1 context" in capsys.readouterr().out
+    assert ": pcg, 1 context" in capsys.readouterr().out
 
 
 def test_what_the_system_says_of_a_path_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
