@@ -15,13 +15,14 @@ from tensordict import TensorDictBase
 from torchrl.collectors import Collector
 from torchrl.envs import EnvBase, check_env_specs
 
+from izoo import collect
 from izoo.algos.drivers.random import RandomDriver
 from izoo.benchmarks.planner import PlannerConfig
 from izoo.conf.train_options import CollectConfig
 from izoo.envs import EcoDrivingEnv, EnvConfig, TwinEnv
 from izoo.envs.views.gymnasium import EcoDrivingEgo, EcoDrivingJoint
 from izoo.errors import IzooError
-from izoo.training import dataset, offline
+from izoo.training import offline
 from tests.envs.conftest import Make, MakeTwin
 from tests.envs.test_determinism import schedule
 from tests.envs.test_env import KINDS
@@ -291,6 +292,6 @@ def test_offline_data_hold_decisions(tmp_path: Path) -> None:
     out = tmp_path / "data"
     options = {"out": str(out), "frames": 64, "env": scope(emit=()), "simulator": "twin", "num_envs": 4}
     offline.collect(CollectConfig(**options))
-    steps = dataset.load(out)
+    steps = collect.load(out)
     assert steps["agents", "decides"].any() and steps["agents", "action"].min() >= 0.1
     assert steps["agents", "action"].max() <= 1.0

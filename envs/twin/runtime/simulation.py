@@ -55,7 +55,7 @@ class TwinEpisode:
         lasting, working = given["state"]
         own = zeros(STATE, {name: array.shape for name, array in lasting.items()})
         for name, array in lasting.items():
-            own[name][:] = array
+            own[name][...] = array
         self.state = TwinState(**own, **Desk().spread(STATE, working))
         self._find()
 
