@@ -18,11 +18,11 @@ MIN_SHARE = 0.1
 KEEP_LANE, LANE_CHANGES = 1, 3
 """Of the lane changes 0 right, 1 keep and 2 left: the middle one, and how many there are."""
 MAX_WORKERS = 1024
+MAX_AGENTS = 4096
 EMIT_GROUPS = ("vehicles", "signal", "context", "metrics", "reward_vector", "team_reward", "number")
 STEP, VEHICLE, VEHICLE_AND_LINE = "step", "vehicle", "vehicle_and_line"
 SCOPES = (STEP, VEHICLE, VEHICLE_AND_LINE)
 ACCELERATION, SPEED = "acceleration", "speed"
-MAX_AGENTS = 4096
 ACTIONS = (ACCELERATION, SPEED)
 WHOLE_WAY, BEFORE, BEFORE_AND_BEHIND = ("speed",), ("speed_before",), ("speed_before", "speed_behind")
 BY_STEP = MappingProxyType({"decide": STEP, "action": ACCELERATION, "action_parts": WHOLE_WAY})

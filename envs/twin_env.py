@@ -20,17 +20,21 @@ from izoo.cores import usable_cores
 from izoo.envs.backend import Play
 from izoo.envs.config import EnvConfig, checked_config
 from izoo.envs.env import Contexts, EcoDrivingBase, numbering
+from izoo.envs.mdp.columns import FLAGS, FLOATS, INTS
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.envs.mdp.snapshot import Scene
 from izoo.envs.model_version import MODEL_VERSION
 from izoo.envs.render import draw
 from izoo.envs.twin.backend import TwinBackend
+from izoo.envs.twin.runtime.layout import STATE
 from izoo.errors import IzooError, check_whole
 from izoo.user_key import own_key
 
 _ENTRIES = ("settings", "plays", "episodes", "next_episodes", "packed")
 """What a saved state holds besides its mark; all but the first are one per environment."""
 _MARK = "mark"
+_LAYOUT = repr((STATE.fields, *map(tuple, (FLOATS, INTS, FLAGS))))
+"""In which order a state lies in memory: another one may be as long."""
 _OF_PROCESSES = ("recycle_episodes", "watchdog_s", "gui")
 """Settings that change no episode."""
 
@@ -46,7 +50,7 @@ def _settings(config: EnvConfig) -> dict[str, Any]:
 
 def _mark_of(state: Mapping[str, Any]) -> str:
     """Return what only this user can have added to a state: compiled code takes the state as it is."""
-    plain = [__version__, MODEL_VERSION, APPROACH_METRICS, *(state[name] for name in _ENTRIES[:-1])]
+    plain = [__version__, MODEL_VERSION, APPROACH_METRICS, _LAYOUT, *(state[name] for name in _ENTRIES[:-1])]
     packed = [hashlib.sha256(bytes(part.numpy())).hexdigest() for part in state["packed"]]
     return hmac.new(own_key(), json.dumps([*plain, *packed]).encode(), "sha256").hexdigest()
 

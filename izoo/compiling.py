@@ -149,7 +149,7 @@ def _handed_on(kind: Any) -> Any:
 
 
 def _inner(function: Callable[..., Any], cache: bool, options: dict[str, Any]) -> Any:
-    """Compile a function as other compiled code calls it: without the entry from Python, a sixth of the work."""
+    """Compile a function for calls from compiled code alone; the entry from Python would be more work."""
     inner = numba.njit(**options | {"no_cpython_wrapper": True})(function)
     if cache:
         inner._cache = _Cache(function, ".inner")

@@ -6,6 +6,8 @@ are ``("vehicles", name)``; the others are working memory. A column's constant i
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 
 class Columns:
     """Names of a table's columns, in order; those that are emitted come first.
@@ -34,6 +36,9 @@ class Columns:
 
     def __len__(self) -> int:
         return len(self._names)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
 
 
 FLOATS, INTS, FLAGS = Columns(), Columns(), Columns()

@@ -149,7 +149,7 @@ class TwinBackend:
             self._compile()
 
     def _compile(self) -> None:
-        """Compile what steps call while other processes wait for it, by stepping no environment."""
+        """Compile what steps call, by stepping no environment; other processes wait meanwhile."""
         if self._runs[0] is not None:
             none, like, emitter, ranges = slice(0, 0), self._runs[0].episode.world, self._emitters[0], self._ranges[0]
             if self.surrogate == "compiled":

@@ -9,11 +9,7 @@ from izoo.envs.twin.driving.traffic_lights import ALLWAY_STOP, EQUAL, MINOR, PRI
 from izoo.envs.twin.net.best_lanes import find_variant
 from izoo.envs.twin.net.conflicts import DIVERGING
 from izoo.envs.twin.runtime.compiled import compiled
-from izoo.envs.twin.runtime.layout import (
-    DRIVING,
-    DROPPED,
-    WAITING,
-)
+from izoo.envs.twin.runtime.layout import DRIVING, DROPPED, WAITING
 
 ENTER, WAIT, DROP = range(3)
 ROOM_RIGHT_M, ROOM_LEFT_M = 20.0, 40.0

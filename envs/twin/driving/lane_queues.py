@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from izoo.envs.twin.runtime.compiled import compiled
-from izoo.envs.twin.runtime.layout import (
-    MAX_TAIL_LANES,
-)
+from izoo.envs.twin.runtime.layout import MAX_TAIL_LANES
 
 
 @compiled
@@ -67,7 +65,7 @@ def set_tail(net, traffic, state, v, count):  # type: ignore[no-untyped-def]
     """Put the tail of vehicle ``v`` on as many of the first ``count`` lanes in its ``tail_lane`` as it reaches.
 
     If the tables have no room for it, that is counted: see
-    :func:`izoo.envs.twin.runtime.episode_setup.TwinRun.finish`.
+    :func:`izoo.envs.twin.runtime.episode_setup.TwinRun.end_step`.
     """
     rest = traffic.drivers[v].length - state.vehicles[v].position
     kept = 0

@@ -29,9 +29,7 @@ from izoo.envs.twin.driving.traffic_lights import is_major, is_red_or_yellow
 from izoo.envs.twin.junction.foes import Plan, limit_by_foes
 from izoo.envs.twin.junction.right_of_way import slows_before
 from izoo.envs.twin.runtime.compiled import compiled
-from izoo.envs.twin.runtime.layout import (
-    MAX_ITEMS_PER_VEHICLE,
-)
+from izoo.envs.twin.runtime.layout import MAX_ITEMS_PER_VEHICLE
 
 STOP_LINE_GAP_M = 1.0
 YELLOW_DECEL_MPS2 = 3.0

@@ -15,10 +15,7 @@ from izoo.envs.twin.lane_change.cooperation import advised_speed
 from izoo.envs.twin.lane_change.downstream_occupancy import remember_downstream_occupancy
 from izoo.envs.twin.net.best_lanes import find_variant
 from izoo.envs.twin.runtime.compiled import compiled
-from izoo.envs.twin.runtime.layout import (
-    ARRIVED,
-    MAX_TAIL_LANES,
-)
+from izoo.envs.twin.runtime.layout import ARRIVED, MAX_TAIL_LANES
 
 
 @compiled

@@ -9,12 +9,7 @@ from izoo.envs.twin.driving.lane_queues import rear_position
 from izoo.envs.twin.driving.tolerances import POSITION_EPS
 from izoo.envs.twin.driving.traffic_lights import RED
 from izoo.envs.twin.junction.foes import Encounter, gap_to_foe, is_before_wait
-from izoo.envs.twin.net.conflicts import (
-    CROSSING,
-    DIVERGING,
-    MERGING,
-    NOWHERE,
-)
+from izoo.envs.twin.net.conflicts import CROSSING, DIVERGING, MERGING, NOWHERE
 from izoo.envs.twin.runtime.compiled import compiled
 
 

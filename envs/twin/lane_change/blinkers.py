@@ -7,7 +7,7 @@ from izoo.envs.twin.lane_change.flags import COOPERATIVE, LEFTWARD, RIGHT_KEEPIN
 from izoo.envs.twin.runtime.compiled import compiled
 
 _RIGHT, _LEFT = 1, 2
-"""Bits of ``SIGNALS``, with the values that SUMO's ``vehicle.getSignals`` reports."""
+"""Bits of ``signals``, with the values that SUMO's ``vehicle.getSignals`` reports."""
 _AHEAD_S = 7.0
 """A vehicle blinks before a turn that it reaches within this time at its desired speed."""
 _MORE_THAN_SPEED = STRATEGIC | COOPERATIVE | RIGHT_KEEPING

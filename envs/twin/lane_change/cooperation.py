@@ -31,9 +31,7 @@ from izoo.envs.twin.lane_change.flags import (
     WANTS_CHANGE,
 )
 from izoo.envs.twin.runtime.compiled import compiled
-from izoo.envs.twin.runtime.layout import (
-    MAX_ADVICES,
-)
+from izoo.envs.twin.runtime.layout import MAX_ADVICES
 
 OVERTAKING_MPS = 10.0 / 3.6
 """Speed difference at which a follower that lets another vehicle in is passed, or passes it."""
@@ -146,7 +144,7 @@ def slow_for_blocked(net, traffic, state, v, blocked, flags, step_s):  # type: i
 
 
 @compiled
-def reserve_room(net, traffic, state, v, blocker, counter, step_s):  # type: ignore[no-untyped-def]
+def reserve_room(traffic, state, v, blocker, counter, step_s):  # type: ignore[no-untyped-def]
     """Leave room at the lane's end for a ``blocker`` that wants to change the other way (state bit ``counter``)."""
     if blocker < 0 or not state.vehicles[blocker].change_state & counter:
         return

@@ -64,7 +64,7 @@ _MEMORY_UNIT = 1e-7
 """Memories of speed gain are truncated to multiples of it."""
 
 DEFAULT_MODE, ROUTE_ONLY_MODE = 0, 1
-"""Values of ``CHANGE_MODE``: SUMO's default; only strategic and commanded changes."""
+"""Values of ``change_mode``: SUMO's default; only strategic and commanded changes."""
 
 
 class Change(NamedTuple):
@@ -230,8 +230,8 @@ def _prepare_urgent_change(net, traffic, state, v, change, around, blocked, flag
     opposite = LEFTWARD if right else RIGHTWARD
     first_blocked = state.changer[lane].first_blocked
     if first_blocked != around.target_leader:
-        reserve_room(net, traffic, state, v, first_blocked, opposite, step_s)
-    reserve_room(net, traffic, state, v, around.target_leader, opposite, step_s)
+        reserve_room(traffic, state, v, first_blocked, opposite, step_s)
+    reserve_room(traffic, state, v, around.target_leader, opposite, step_s)
     if flags & COMMANDED:
         remaining_s = (state.vehicles[v].change_until_ms - state.clock.now_ms) / 1000.0
     else:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from izoo.envs.twin.runtime.compiled import compiled
-from izoo.envs.twin.runtime.layout import (
-    MAX_LANES_SEEN,
-)
+from izoo.envs.twin.runtime.layout import MAX_LANES_SEEN
 
 
 @compiled

@@ -21,9 +21,7 @@ from izoo.envs.twin.lane_change.flags import (
 )
 from izoo.envs.twin.lane_change.neighbours import Neighbours, follower_on_lane, leader_beyond, leader_on_lane
 from izoo.envs.twin.runtime.compiled import compiled
-from izoo.envs.twin.runtime.layout import (
-    MAX_TAIL_LANES,
-)
+from izoo.envs.twin.runtime.layout import MAX_TAIL_LANES
 
 
 @compiled

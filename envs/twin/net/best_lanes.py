@@ -25,7 +25,7 @@ _MAX_VARIANTS = 64
 
 
 class BestTables(NamedTuple):
-    """Fields of :class:`~izoo.envs.twin.runtime.layout.TwinNet`; ``X`` variants, those of a route in neighbouring rows.
+    """What :class:`~izoo.envs.twin.runtime.layout.TwinNet` holds of best lanes: ``X`` variants, route by route.
 
     Attributes:
         variant_first, variant_count: ``[R]`` int32, the variants of each route.

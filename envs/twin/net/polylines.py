@@ -1,7 +1,7 @@
 """Distances between the shapes of lanes, and where they cross: of all pairs of a net at once.
 
-A *shape* is a polyline in the plane (m). Pairs have shapes of different sizes, so what is computed is laid out flat: a
-*cell* for every piece of one with every piece of the other.
+A *shape* is a polyline in the plane (m). The pieces of all pairs lie in flat arrays, with a
+*cell* for every piece of the one shape and every piece of the other.
 """
 
 from __future__ import annotations

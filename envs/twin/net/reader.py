@@ -43,7 +43,7 @@ _READ_AHEAD_MS = 200_000
 
 @dataclass(frozen=True)
 class TwinWorld:
-    """A net's arrays, and the SUMO's ids of their rows.
+    """A net's arrays, and SUMO's ids of their rows.
 
     Attributes:
         net: the arrays.

@@ -11,13 +11,7 @@ import numpy as np
 
 from izoo.compiling import compiled
 from izoo.envs.config import KEEP_LANE
-from izoo.envs.mdp.columns import (
-    ACCEL,
-    DEFERRED,
-    NUMBER,
-    SPEED,
-    YIELDING,
-)
+from izoo.envs.mdp.columns import ACCEL, DEFERRED, NUMBER, SPEED, YIELDING
 from izoo.envs.mdp.commands import LANE_CHANGE_BRAKING_MPS2
 from izoo.envs.mdp.metric_sums import EPISODE_METRIC
 from izoo.envs.mdp.slots import admit, release
@@ -27,11 +21,7 @@ from izoo.envs.twin.driving.step import step
 from izoo.envs.twin.lane_change.decision import DEFAULT_MODE, ROUTE_ONLY_MODE
 from izoo.envs.twin.runtime.batched_emissions import GROUP, count_classes, emit_group
 from izoo.envs.twin.runtime.handles import world_at
-from izoo.envs.twin.runtime.layout import (
-    DRIVING,
-    open_net,
-    open_state,
-)
+from izoo.envs.twin.runtime.layout import DRIVING, open_net, open_state
 from izoo.envs.twin.runtime.prefetch import (
     GUESTS_AT,
     LINES,

@@ -14,6 +14,7 @@ type, no two tables overlap, and those of a net do not change, which the compile
 from __future__ import annotations
 
 import functools
+import hashlib
 import operator
 from typing import Annotated, Any, get_type_hints
 
@@ -41,13 +42,11 @@ compiled = functools.partial(compiling.compiled, nogil=True, error_model="numpy"
 """Decorator of every compiled function of the twin. Such a function cannot allocate."""
 
 Float1 = Annotated[np.ndarray, "float64", 1]
-Float2 = Annotated[np.ndarray, "float64", 2]
 Int1 = Annotated[np.ndarray, "int32", 1]
 Int2 = Annotated[np.ndarray, "int32", 2]
 Int3 = Annotated[np.ndarray, "int32", 3]
 Long1 = Annotated[np.ndarray, "int64", 1]
 Byte1 = Annotated[np.ndarray, "uint8", 1]
-Byte2 = Annotated[np.ndarray, "uint8", 2]
 """Fields of a directory: type of the elements, and dimensions. A fourth entry is the number of columns, if it is a
 constant; ``Annotated[np.ndarray, "float64", 2, 8]`` has eight."""
 
@@ -56,13 +55,18 @@ WORDS = 4
 _WORD = ir.IntType(64)
 
 
+def _digest(what: Any) -> str:
+    """Tell types of the same name apart: numba takes types of one name for one type."""
+    return hashlib.sha256(repr(what).encode()).hexdigest()[:16]
+
+
 class RecordType(types.Type):
     """Numba's type of a record of a table: a reference to it, whose fields are read and written."""
 
     def __init__(self, owner: str, field: str, kind: np.dtype, constant: bool) -> None:
         self.owner, self.field, self.kind, self.constant = owner, field, kind, constant
         self.fields: Any = kind.fields
-        super().__init__(name=f"Record({owner}.{field}, {constant})")
+        super().__init__(name=f"Record({owner}.{field}: {_digest(kind)}, {constant})")
 
 
 class TableType(types.Type):
@@ -93,7 +97,7 @@ class TablesType(types.Type):
 
     def __init__(self, owner: str, fields: tuple[tuple[str, Any, int, int], ...], constant: bool) -> None:
         self.owner, self.fields, self.constant = owner, fields, constant
-        super().__init__(name=f"Tables({owner}, {constant})")
+        super().__init__(name=f"Tables({owner}: {_digest(fields)}, {constant})")
 
     def dtype_of(self, name: str) -> np.dtype:
         """Return the type of the elements of the table ``name``."""

@@ -19,14 +19,7 @@ from izoo.envs.twin.net.reader import TwinWorld, read_twin_world, twin_traffic
 from izoo.envs.twin.runtime.batch_step import warm_up_all
 from izoo.envs.twin.runtime.compiled import directory
 from izoo.envs.twin.runtime.handles import address_of, parts_at
-from izoo.envs.twin.runtime.layout import (
-    ARRIVED,
-    DRIVING,
-    DROPPED,
-    MAX_TAIL_LANES,
-    WAITING,
-    WORKING,
-)
+from izoo.envs.twin.runtime.layout import ARRIVED, DRIVING, DROPPED, MAX_TAIL_LANES, WAITING, WORKING
 from izoo.envs.twin.runtime.prefetch import NET_AT, PARTS_BYTES, STATE_AT, no_ranges
 from izoo.envs.twin.runtime.region_view import GUESTS, READING, Guests
 from izoo.envs.twin.runtime.scratch import Desk
@@ -98,8 +91,7 @@ class TwinRun:
         play, road, traffic, names, driving = prepared
         driving.move_to(desk)
         self.config, self.play, self.driving = config, play, driving
-        # A row for every vehicle of the demand: compiled code cannot let tables grow. What is never used is never
-        # touched, so that it takes no memory.
+        # A row for every vehicle of the demand: compiled code cannot let tables grow.
         self.episode = Episode(config, frame, weights, *play, road, traffic, capacity=len(traffic))
         rows = len(self.episode.tables.flags)
         edges = entry_edges(road, play.context.demand_approaches, config.step_s)

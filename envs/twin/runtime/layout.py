@@ -125,7 +125,7 @@ class TwinTraffic(NamedTuple):
 
     Attributes:
         drivers: ``[N]``, as SUMO reads them from the route file (rounded to its decimals).
-        fleet: ``[R]``.
+        fleet: ``[F]``, a record for each portion that SUMO reads, by time.
     """
 
     drivers: Annotated[np.ndarray, Driver, 1]

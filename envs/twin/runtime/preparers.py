@@ -100,7 +100,7 @@ def _prepare_in_turn(config: EnvConfig, taken: Sequence[_Job], ending: threading
     for play, future in taken:
         with contextlib.suppress(Exception):  # raised again where that episode is prepared
             nets += [] if future.cancelled() else [play().context.intersection]
-    with contextlib.suppress(IzooError):
+    with contextlib.suppress(Exception):  # the same
         build_nets(nets)
     for play, future in taken:
         if ending.is_set():
@@ -111,18 +111,17 @@ def _prepare_in_turn(config: EnvConfig, taken: Sequence[_Job], ending: threading
 
 def _serve_by_process(config: EnvConfig, jobs: _Jobs, ending: threading.Event) -> None:
     """Have episodes prepared by a process, a few at a time; by another one where it is lost."""
-    helper = _Helper(config)
+    helper = None
     while (job := jobs.get()) is not None:
         running = [job for job in (job, *_waiting(jobs, _AT_ONCE - 1)) if job[1].set_running_or_notify_cancel()]
-        if not _prepare_by(helper, config, running):
-            helper.close()
-            helper = _Helper(config)
+        helper = _prepare_by(helper, config, running)
         del job, running
-    helper.close()
+    if helper is not None:
+        helper.close()
 
 
-def _prepare_by(helper: _Helper, config: EnvConfig, running: Sequence[_Job]) -> bool:
-    """Have episodes prepared by a process, or here where it is lost; return whether it is there."""
+def _prepare_by(helper: _Helper | None, config: EnvConfig, running: Sequence[_Job]) -> _Helper | None:
+    """Have episodes prepared by a process, which begins if need be, or here if it is lost; return it if it is there."""
     plays: list[Play] = []
     futures: list[Future[Prepared]] = []
     for play, future in running:
@@ -132,14 +131,17 @@ def _prepare_by(helper: _Helper, config: EnvConfig, running: Sequence[_Job]) -> 
         except Exception as error:
             future.set_exception(error)
     if not plays:
-        return True
+        return helper
     try:
-        _settle(futures, helper.prepare(plays))
-    except (OSError, EOFError):  # it was killed, for lack of memory perhaps
-        desk = Desk()
-        _settle(futures, [_prepared(config, fixed(play), desk) for play in plays])
-        return False
-    return True
+        helper = helper or _Helper(config)
+        answers = helper.prepare(plays)
+    except Exception:  # it cannot begin, was killed, for lack of memory perhaps, or its answer cannot be read
+        if helper is not None:
+            helper.close()
+        helper, desk = None, Desk()
+        answers = [_prepared(config, fixed(play), desk) for play in plays]
+    _settle(futures, answers)
+    return helper
 
 
 def fixed(play: Play) -> Callable[[], Play]:

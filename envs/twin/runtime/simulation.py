@@ -8,15 +8,7 @@ import numpy as np
 
 from izoo.envs.twin.driving.step import new_state, step
 from izoo.envs.twin.runtime.compiled import directory
-from izoo.envs.twin.runtime.layout import (
-    NET,
-    STATE,
-    TRAFFIC,
-    WORKING,
-    TwinNet,
-    TwinState,
-    TwinTraffic,
-)
+from izoo.envs.twin.runtime.layout import NET, STATE, TRAFFIC, WORKING, TwinNet, TwinState, TwinTraffic
 from izoo.envs.twin.runtime.prefetch import no_ranges
 from izoo.envs.twin.runtime.scratch import Desk, zeros
 
@@ -47,6 +39,8 @@ class TwinEpisode:
     def __getstate__(self) -> dict[str, Any]:
         """Return what another process needs: working memory and addresses are of one alone."""
         lasting = {name: array for name, array in self.state._asdict().items() if name not in WORKING}
+        # In the order of memory, which prefetching relies on.
+        lasting = dict(sorted(lasting.items(), key=lambda one: one[1].ctypes.data))
         working = {name: getattr(self.state, name).shape for name in WORKING}
         return {"net": self.net, "traffic": self.traffic, "step_ms": self.step_ms, "state": (lasting, working)}
 
