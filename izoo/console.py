@@ -52,6 +52,7 @@ def exit_code(name: str, main: Callable[[], int], stopped: str = "") -> int:
         main: its work.
         stopped: what to say after Ctrl-C beside that it was stopped.
     """
+    label = f"izoo {name}".strip()
     with _guarded(), _terminable():
         try:
             try:
@@ -62,18 +63,18 @@ def exit_code(name: str, main: Callable[[], int], stopped: str = "") -> int:
             _flush(sys.stdout)
             return code
         except IzooError as error:
-            print(f"izoo {name}: {error}", file=sys.stderr, flush=True)
+            print(f"{label}: {error}", file=sys.stderr, flush=True)
             return EXIT_BAD_INPUT
         except UnfinishedError as error:
-            print(f"izoo {name}: {error}", file=sys.stderr, flush=True)
+            print(f"{label}: {error}", file=sys.stderr, flush=True)
             return EXIT_UNFINISHED
         except KeyboardInterrupt:
-            print(f"izoo {name}: stopped{stopped and f'; {stopped}'}.", file=sys.stderr, flush=True)
+            print(f"{label}: stopped{stopped and f'; {stopped}'}.", file=sys.stderr, flush=True)
             return EXIT_INTERRUPTED
         except OutputLost as lost:
             if isinstance(lost.__cause__, BrokenPipeError):
                 return 0  # whatever read the output, such as `head`, has had enough
-            print(f"izoo {name}: cannot write the output: {lost}.", file=sys.stderr, flush=True)
+            print(f"{label}: cannot write the output: {lost}.", file=sys.stderr, flush=True)
             return EXIT_UNFINISHED
 
 
@@ -187,7 +188,7 @@ class Interrupt:
             raise KeyboardInterrupt
         self.requested = True
         print(
-            "\nFinishing this batch and saving the run. Ctrl-C again stops at once.",
+            "\nFinishing this batch and saving. Ctrl-C again stops at once.",
             file=sys.stderr,
             flush=True,
         )

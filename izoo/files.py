@@ -48,6 +48,8 @@ def make_absolute(config: object, *names: str) -> None:
     """Resolve paths in fields of a frozen dataclass, so that they mean the same in another folder; null stays null."""
     for name in names:
         value = getattr(config, name)
+        if value == "":
+            raise IzooError(f"{name} is empty; give a path, such as . for the current folder, or leave it out.")
         if value is not None:
             object.__setattr__(config, name, str(expanded(value).absolute()))
 

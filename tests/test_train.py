@@ -24,7 +24,7 @@ from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.results import read_table
 from izoo.results.store import read_manifest
-from izoo.training import checkpoint, run_folder
+from izoo.training import checkpoint, loop, run_folder
 from izoo.training.loggers import MetricsTable
 from tests.training.toy import begun
 
@@ -210,3 +210,13 @@ def test_logger_tensorboard_writes_events(tmp_path: Path) -> None:
 def test_total_frames_are_rounded_up_to_whole_batches_of_all_workers() -> None:
     config = compose_config(TrainConfig, ["num_workers=3", "algo.frames_per_batch=100"])
     assert config.batch_frames == 102
+
+
+def test_a_resumed_run_keeps_its_own_options_in_python_too(tmp_path: Path) -> None:
+    run_dir = tmp_path / "run"
+    assert train.main([*TOY, "collector=single", "total_frames=200", f"run_dir={run_dir}"]) == 0
+    kept = (run_dir / "config.yaml").read_text()
+    own = run_folder.resumed(run_dir)
+    with pytest.raises(IzooError, match=r"seed differs from that of .*run_folder\.resumed"):
+        loop.train(dataclasses.replace(own, seed=own.seed + 1, total_frames=400))
+    assert (run_dir / "config.yaml").read_text() == kept

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -316,8 +315,9 @@ class GlideSearch(CMAES):
         *,
         env: EnvConfig,
     ) -> None:
-        if space.point_mass is not None or not math.isclose(space.low, ACTION_LOW_MPS2):
+        if space.point_mass is not None or (space.low, space.high) != (ACTION_LOW_MPS2, ACTION_HIGH_MPS2):
             raise IzooError(
-                "algo=glide_search commands accelerations and knows when to leave a CV alone; choose action=direct."
+                "algo=glide_search commands accelerations and knows when to leave a CV alone; choose action=direct, "
+                "without a range of your own."
             )
         self._start(config, GlidePolicies(env, config.population).to(device))

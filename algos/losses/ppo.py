@@ -19,7 +19,7 @@ from izoo.algos.learners import base
 from izoo.algos.losses.empty_batch import has_no_agents, no_losses
 from izoo.algos.losses.masked_gae import MaskedGAE
 from izoo.algos.networks.censored_normal import normal_of
-from izoo.algos.networks.masking import AROUND, is_set_module, on_rows, rows_around, rows_of
+from izoo.algos.networks.masking import AROUND, check_finite, is_set_module, on_rows, rows_around, rows_of
 from izoo.algos.networks.set_networks import COLUMN, FRAME
 from izoo.errors import IzooError
 
@@ -148,6 +148,8 @@ class MaskedPPOLoss(ClipPPOLoss):
             if tensordict.get(self.tensor_keys.advantage, None) is None:
                 tensordict = self.value_estimator(tensordict.copy(), params=self._cached_critic_network_params_detached)
             rows = self.rows(tensordict)
+        else:
+            check_finite(rows.exclude(AROUND))
         losses = super().forward(rows)
         divergence, self._divergence = self._divergence, None  # its graph is the caller's now
         if divergence is not None:

@@ -139,7 +139,7 @@ def headroom(table: pd.DataFrame) -> Table | None:
 def costs(folder: Path) -> Table:
     """Return what training cost, a row per entry, mean over its runs.
 
-    Core-hours are processor time, that of validations included; they are missing of runs that did not record it.
+    Core-hours are processor time, with validations beside training; they are missing where a run did not record it.
     """
     rows = []
     for name, runs in _runs(folder).items():
@@ -175,7 +175,7 @@ def draw_curves(folder: Path, grid: Mapping[str, Mapping[str, Any]] | None = Non
     """
     factors, runs = [list(values) for values in (grid or {}).values()], _runs(folder)
     places = {
-        "-".join(values): [of.index(value) for of, value in zip(factors, values, strict=True)]
+        "-".join(map(str, values)): [of.index(value) for of, value in zip(factors, values, strict=True)]
         for values in itertools.product(*factors)
     }
     first = len(factors[0]) if factors else 0  # colours of the others follow
@@ -194,9 +194,10 @@ def draw_curves(folder: Path, grid: Mapping[str, Mapping[str, Any]] | None = Non
         if series:
             title = f"{label}, {panel}" if panel else label
             values = np.concatenate([np.ravel(one.y) for one in series])
-            low, high = np.clip([np.nanmin(values) - 0.5, np.nanmax(values) + 0.5], *limits)
+            known = values[(limits[0] < values) & (values < limits[1])]
+            ends = (max(known.min() - 0.5, limits[0]), min(known.max() + 0.5, limits[1])) if len(known) else None
             name = f"{column}-{panel}".strip("-")
-            charts.append(Chart(name, title, series, "decisions", y_range=(low, high), log_x=True))
+            charts.append(Chart(name, title, series, "decisions", y_range=ends, log_x=True))
     return charts
 
 

@@ -114,6 +114,7 @@ def on_twin(context: Context, seconds: float, envs: int, threads: int, surrogate
             state = env.reset()
             if not emit:
                 rows.append(_alone(f"{name}, backend", env, seconds))
+                state = env.reset()
             rows.append(_stepped(f"{name}, {'all' if emit else 'no'} groups", env, state, seconds, env.backend))
     return rows
 

@@ -102,13 +102,13 @@ def compose_config(cls: type[T], words: Sequence[str], defaults: Defaults | None
         *above, last = group.split(".")
         functools.reduce(operator.getitem, above, values)[last] = to_mapping(choice)
         _merge(values, {"env": getattr(choice, "sets", {})} if "env" in values else {})
-    found = OmegaConf.create(values)
-    for key, value in named.items():
-        if key not in chosen:
-            if key not in _paths(values):
-                raise _unknown(key, [*_paths(values)])
-            OmegaConf.update(found, key, value, merge=False)
     try:
+        found = OmegaConf.create(values)
+        for key, value in named.items():
+            if key not in chosen:
+                if key not in _paths(values):
+                    raise _unknown(key, [*_paths(values)])
+                OmegaConf.update(found, key, value, merge=False)
         return from_mapping(cls, OmegaConf.to_container(found, resolve=True))  # type: ignore[arg-type]
     except OmegaConfBaseException as error:
         raise IzooError(f"the options do not fit together: {str(error).splitlines()[0]}") from error

@@ -179,7 +179,7 @@ def _draw(options: argparse.Namespace) -> None:
 
 
 @CONTEXTS.command(
-    "build the nets of some intersections and play a short episode in each",
+    "build the nets of some intersections and play two short episodes in each",
     argument("path", type=Path, nargs="?", help="a folder of intersections; default: the built-in cities"),
     argument("--city", action="append", help="instead of all ten; may be given several times"),
     argument("--count", type=int, help="intersections to draw; default: 10 per city, or all of PATH"),

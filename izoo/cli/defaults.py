@@ -1,4 +1,4 @@
-"""What a run that is resumed, and a trained policy, set where other options do not; PyTorch is loaded where needed."""
+"""Defaults of options that come from a resumed run or a trained policy; PyTorch is loaded where it is needed."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def of_run(named: Mapping[str, Any]) -> dict[str, Any]:
 def of_policies(named: Mapping[str, Any]) -> dict[str, Any]:
     """Return the environment of the policies that ship, or were exported, among those that are named.
 
-    Which groups are emitted is not theirs to say.
+    ``env.emit`` stays the command's.
     """
     policies = named.get("policies", [named.get("policy", "")])
     found = [zoo.load(name).env for policy in policies if (name := catalog.named(str(policy)))]

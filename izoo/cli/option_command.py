@@ -132,6 +132,9 @@ class OptionCommand:
         configs = [self.compose(combination) for combination in combinations(words)]
         if not configs:
             raise IzooError("the sweep has no values; give at least one.")
+        for config in configs:
+            if hasattr(config, "contexts"):
+                config.contexts.build()
         for name in FOLDERS:
             folders = [folder for config in configs if (folder := getattr(config, name, None)) is not None]
             if len(set(folders)) < len(folders):

@@ -27,7 +27,7 @@ PER_CITY = 10
 
 @dataclass
 class SmokeTestReport:
-    """What was found: failures by the name of the intersection or the context."""
+    """What was found: failures by the name of the context."""
 
     intersections: int = 0
     episodes: int = 0

@@ -189,7 +189,7 @@ class Product:
         if self.exclude and self.is_finite:
             object.__setattr__(self, "_kept", self._kept_indices())
         elif self.exclude:
-            self.sample(np.random.default_rng(0))  # raises where nothing is left
+            self.sample(np.random.default_rng(0))  # raises where nothing can be drawn
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -211,7 +211,8 @@ class Product:
         raise self._nothing_left()
 
     def _nothing_left(self) -> IzooError:
-        return IzooError(f"the exclusion {[dict(box.sides) for box in self.exclude]} leaves nothing; shrink a box.")
+        sides = [dict(box.sides) for box in self.exclude]
+        return IzooError(f"the exclusion {sides} leaves nothing, or too little to draw from; shrink a box.")
 
     def __len__(self) -> int:
         if not self.is_finite:

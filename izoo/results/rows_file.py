@@ -54,7 +54,11 @@ class RowsFile:
             return self
         try:
             text = read_text(self.path)
-            names, *records = filter(None, csv.reader(io.StringIO(text[: text.rfind("\n\n") + 1] or text)))
+            lines = csv.reader(io.StringIO(text[: text.rfind("\n\n") + 1] or text))
+            names, *records = [line for line in lines if line] or [[]]
+            for record in records:
+                if len(record) != len(names):
+                    raise ValueError(f"a row has {len(record)} cells, and the header {len(names)}")
             cells = [dict(zip(names, record, strict=True)) for record in records]
             rows = [{column: self._value(column, row.get(column, "")) for column in self.columns} for row in cells]
         except (OSError, ValueError, csv.Error) as error:
@@ -105,12 +109,16 @@ class RowsFile:
         """Return what a cell holds; nothing and NaN are ``None``."""
         if column in self.text:
             return text or None
-        if text in ("True", "False"):
+        if text in ("True", "False") and column not in self.whole:
             return text == "True"
         number = float(text or "nan")
         if math.isnan(number):
             return None
-        return int(text) if column in self.whole else number
+        if column not in self.whole:
+            return number
+        if not number.is_integer():
+            raise ValueError(f"{column} is {text}, and should be a whole number")
+        return int(text) if text.lstrip("-").isdigit() else int(number)
 
     def _lines(self, rows: Iterable[Row], header: bool) -> str:
         text = io.StringIO()

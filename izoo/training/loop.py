@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from izoo.conf.train_options import TrainConfig
+from izoo.conf.train_options import CHANGEABLE, TrainConfig
 from izoo.errors import IzooError, UnfinishedError
 from izoo.files import NO_ROOM
 from izoo.training import checkpoint, run_folder
@@ -80,6 +81,12 @@ def _to_resume(config: TrainConfig, run_dir: Path, path: Path | None) -> dict[st
     """Check and write the options with which a run goes on, and return the state of its checkpoint."""
     stored = run_folder.read_config(run_dir)
     run_folder.check_drivers(run_dir, stored)
+    for name in (field.name for field in dataclasses.fields(config)):
+        if name not in (*CHANGEABLE, "run_dir") and getattr(config, name) != getattr(stored, name):
+            raise IzooError(
+                f"{name} differs from that of {run_dir}; a resumed run keeps its own options "
+                "(izoo.training.run_folder.resumed returns them)."
+            )
     state = None if path is None else checkpoint.load(path)
     # The last batch of a run that is done may have gone beyond its frames.
     if state is not None and config.total_frames < min(stored.total_frames, state["frames"]):

@@ -30,7 +30,7 @@ def check_options(config: TrainConfig) -> None:
     if algo.second_play and not simulator.batched:
         raise IzooError(
             f"{algo.second_play} plays every training episode a second time, uncommanded, which {simulator.label} does "
-            "not do during training; choose simulator=twin, or leave it out."
+            f"not do during training; choose simulator=twin, or {algo.second_play.partition('=')[0]}=none."
         )
     if algo.candidates > 1 and config.env.action == SPEED:
         raise IzooError(

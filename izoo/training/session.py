@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sys
 import time
@@ -118,11 +119,11 @@ class Session:
         state, reads = self.state, self.state.learner.reads
         batches = self._batches = state.collector(None if reads is None else (*reads, *READS))
         batched = simulator_of(self.config.simulator).batched
-        if batched and state.levels is not None:
-            self._baselines = BaselineComparison(self.config, state.draws, level=state.levels.level)
-        elif batched:
-            self._baselines = BaselineComparison(self.config, state.schedule())
         try:
+            if batched and state.levels is not None:
+                self._baselines = BaselineComparison(self.config, state.draws, level=state.levels.level)
+            elif batched:
+                self._baselines = BaselineComparison(self.config, state.schedule())
             if self._baselines is not None:
                 self._baselines.expect(state.environments.get("episodes", ()))
             self.state.load(batches)
@@ -132,11 +133,9 @@ class Session:
             if not interrupt.requested:  # else a signal to the whole job may have ended the processes that collect
                 raise
         finally:
-            self._batches = None
-            batches.close()
-            if self._baselines is not None:
-                self._baselines.close()
-                self._baselines = None
+            self._batches, baselines, self._baselines = None, self._baselines, None
+            with contextlib.nullcontext() if baselines is None else contextlib.closing(baselines):
+                batches.close()
             torch.set_num_threads(self._threads)
 
     def _learn_from(self, batches: BatchSource, interrupt: Interrupt) -> None:

@@ -143,6 +143,6 @@ def _check_algorithm(name: str, path: Path) -> None:
     """Raise :class:`IzooError` for an algorithm of somebody's own code, which a file could make izoo import and run."""
     if name not in registry.ALGORITHMS:
         raise IzooError(
-            f"{path} would hold a policy of the algorithm {name}; files hold those of {', '.join(registry.ALGORITHMS)} "
-            "alone. Evaluate the run itself: run=FOLDER."
+            f"{path} cannot hold a policy of algo={name}; files of policies are of {', '.join(registry.ALGORITHMS)} "
+            "alone, and a run of another algorithm is evaluated by run=FOLDER."
         )

@@ -161,6 +161,14 @@ def test_what_is_not_finite_in_a_valid_slot_is_named(kind: str) -> None:
         total(loss, batch)
 
 
+def test_what_is_not_finite_in_a_row_is_named() -> None:
+    loss = make("ppo")
+    rows = loss.rows(loss.value_estimator(collect(loss)))
+    rows[OBSERVATION][5, 3] = float("nan")
+    with pytest.raises(IzooError, match=r"'observation'.* is NaN in 1 valid agent-steps, first in row 5"):
+        loss(rows)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_of_nobody_there_is_nothing_to_learn(kind: str) -> None:
     """Minibatches without a vehicle are common in light traffic, and stock training loops hand them over."""

@@ -157,9 +157,18 @@ def test_a_lost_process_is_replaced_once_and_none_is_left(tmp_path: Path) -> Non
         second = process._begun()
         assert second is not first and found.max() > 0.0
         baseline.expect([8])
-    assert second.process.returncode == -signal.SIGKILL
+    assert second.process.returncode in (1, -signal.SIGKILL), "it ends when the socket is closed, or is killed"
     with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
         assert np.array_equal(beside._compared["human"].episodes([4])[4].sums, found)
+
+
+def test_a_block_ends_when_the_parent_is_gone(tmp_path: Path) -> None:
+    options = config()
+    with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
+        beside.expect([4])
+        child = beside._process._begun()
+        child.dismiss()
+        assert child.process.wait(60) == 1
 
 
 def test_what_cannot_be_played_is_named(tmp_path: Path) -> None:
