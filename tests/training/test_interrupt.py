@@ -28,7 +28,7 @@ def test_an_interrupt_while_workers_start_is_kept(capsys: pytest.CaptureFixture[
         assert interrupt.requested
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
-    assert "saving the run" in capsys.readouterr().err
+    assert "and saving" in capsys.readouterr().err
 
 
 def test_processes_of_multiprocessing_do_not_see_interrupts() -> None:

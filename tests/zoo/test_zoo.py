@@ -73,8 +73,8 @@ def test_one_changed_byte_is_noticed(written: Path) -> None:
     [
         ({"format": "izoo-policy-0"}, "not a policy of this version"),
         ([1, 2], "not a policy of this version"),
-        ({"format": "izoo-policy-1"}, "hold a policy of the algorithm"),
-        ({"format": "izoo-policy-1", "options": {"algo": {"name": "pqo"}}}, "hold a policy of the algorithm pqo"),
+        ({"format": "izoo-policy-1"}, "hold a policy of algo=;"),
+        ({"format": "izoo-policy-1", "options": {"algo": {"name": "pqo"}}}, "hold a policy of algo=pqo"),
         ({"format": "izoo-policy-1", "options": {"algo": {"name": "ppo"}}}, "can build: 'action'"),
     ],
 )
@@ -93,10 +93,10 @@ def test_a_file_cannot_name_code(
     state = torch.load(written, weights_only=True)
     state["options"]["algo"]["name"] = "evil:Thing"
     torch.save(state, written)
-    with pytest.raises(IzooError, match="a policy of the algorithm evil:Thing"):
+    with pytest.raises(IzooError, match="a policy of algo=evil:Thing"):
         zoo.read(written)
     assert evaluate.main([f"policy={written}", "contexts=pcg", "out=out"]) == 2
-    assert "a policy of the algorithm evil:Thing" in capsys.readouterr().err
+    assert "a policy of algo=evil:Thing" in capsys.readouterr().err
     assert not (tmp_path / "ran").exists() and not (tmp_path / "out").exists()
 
 
