@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from izoo.algos.learners.base import POTENTIAL, Keys, innermost, reads
+from izoo.algos.learners.base import MASK, OBSERVATION, POTENTIAL, Keys, innermost, reads
 from izoo.algos.learners.decisions import Decisions, shaped
 from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.train_options import TrainConfig
@@ -20,6 +20,8 @@ from izoo.envs.config import STEP
 from izoo.gpu import check_gpu
 
 COLLECTS_ON = torch.device("cpu")
+_SPARSE: dict[tuple[str, ...], tuple[str, ...]] = {OBSERVATION: MASK, ("next", *OBSERVATION): ("next", *MASK)}
+"""What is 0 but where an agent is, and what says where."""
 
 
 def learner_device(name: str) -> torch.device:
@@ -36,8 +38,16 @@ def learner_device(name: str) -> torch.device:
 
 
 def to_learner(batch: TensorDictBase, device: torch.device) -> TensorDictBase:
-    """Return a batch on the learner's device."""
-    return batch if device == COLLECTS_ON else batch.to(device)
+    """Return a batch on the learner's device; of observations, which are 0 in empty slots, those of agents travel."""
+    if device == COLLECTS_ON:
+        return batch
+    sparse = {key: mask for key, mask in _SPARSE.items() if {key, mask} <= set(batch.keys(True, True))}
+    found = batch.exclude(*sparse).to(device)
+    for key, mask in sparse.items():
+        dense = batch.get(key)
+        rows = dense[batch.get(mask)].to(device)
+        found.set(key, rows.new_zeros(dense.shape).index_put_((found.get(mask),), rows))
+    return found
 
 
 def is_finite(state: Any) -> bool:
