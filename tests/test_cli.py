@@ -109,7 +109,7 @@ BAD = {
     "-m seed=0,1 run_dir=here": "make run_dir differ",
     "-m seed=range(0,0)": "the sweep has no values; give at least one.",
     "-v": "unknown flag '-v'",
-    "run_dir=": "run_dir is empty; give a folder, such as run_dir=results.",
+    "run_dir=": "run_dir is empty; give a path",
 }
 
 

@@ -86,9 +86,9 @@ LOST = {"nobody reads": unread, "full disk": full, "closed terminal": terminal}
 WORK = """
 import sys, time
 from pathlib import Path
-from izoo.console import Progress, exit_code, unheard
+from izoo.console import Progress, exit_code, survives_lost_output
 
-@unheard()
+@survives_lost_output()
 def work():
     print("begins", flush=True)
     while not Path(sys.argv[1], "lost").exists():

@@ -35,11 +35,6 @@ def learner_device(name: str) -> torch.device:
     return torch.device(name)
 
 
-def to_learner(batch: TensorDictBase, device: torch.device) -> TensorDictBase:
-    """Return a batch on the learner's device."""
-    return batch if device == COLLECTS_ON else batch.to(device)
-
-
 def is_finite(state: Any) -> bool:
     """Whether every number in nested containers of tensors is finite."""
     if isinstance(state, torch.Tensor):
@@ -86,7 +81,8 @@ class Learner:
         if batch.get(POTENTIAL, None) is not None:
             batch = shaped(batch, self.gamma)
         if batch.numel() > 0:
-            stats |= self.algorithm.update(to_learner(batch, self.device), progress)
+            at_home = self.device == COLLECTS_ON
+            stats |= self.algorithm.update(batch if at_home else batch.to(self.device), progress)
         self.share()
         return stats
 
@@ -112,19 +108,8 @@ class Learner:
         return state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what :meth:`state_dict` returned, on whichever device that was.
-
-        Raises:
-            ValueError: the state of an optimiser is of other networks; Adam takes any, and fails in its first step.
-        """
+        """Restore what :meth:`state_dict` returned, on whichever device that was."""
         self.algorithm.load_state_dict(state["algorithm"])
-        for optimiser in vars(innermost(self.algorithm)).values():
-            if isinstance(optimiser, torch.optim.Adam):
-                for parameter, entries in optimiser.state.items():
-                    for name, entry in entries.items():
-                        if entry.ndim > 0 and entry.shape != parameter.shape:
-                            shapes = f"{list(entry.shape)}, not {list(parameter.shape)}"
-                            raise ValueError(f"the optimiser's {name} is {shapes}")
         if self.decisions is not None:
             self.decisions.load_state_dict(state["decisions"])
         self.share()

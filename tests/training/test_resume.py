@@ -97,18 +97,6 @@ def test_a_killed_and_resumed_run_ends_like_an_uninterrupted_one(words: list[str
             assert leaf == resumed[path], path
 
 
-@pytest.mark.slow
-def test_a_run_that_was_killed_before_its_first_checkpoint_begins_again(tmp_path: Path) -> None:
-    run_dir = tmp_path / "run"
-    assert train.main([*TOY, "collector=single", "total_frames=200", f"run_dir={run_dir}"]) == 0
-    before = flat(checkpoint.load(checkpoint.find(run_dir)))
-    for path in checkpoint.listed(run_dir):
-        path.unlink()
-    assert train.main([f"resume={run_dir}"]) == 0
-    after = flat(checkpoint.load(checkpoint.find(run_dir)))
-    assert all(torch.equal(leaf, after[path]) for path, leaf in before.items() if isinstance(leaf, torch.Tensor))
-
-
 def test_an_option_that_is_changed_leaves_the_others_of_its_group_as_they_were(tmp_path: Path) -> None:
     words = [
         "simulator=twin",

@@ -77,19 +77,3 @@ def test_an_interrupt_is_raised_when_all_have_ended(pool: ThreadPool, interrupts
         ended.clear()
     pool.work(ended.append)
     assert sorted(ended) == [0, 1, 2]
-
-
-def test_closing_waits_for_what_is_still_being_done() -> None:
-    pool, ended = ThreadPool(2, lambda: None), []
-
-    def slow(number: int) -> None:
-        if number:
-            time.sleep(0.2)
-        ended.append(number)
-
-    working = threading.Thread(target=pool.work, args=(slow,))
-    working.start()
-    time.sleep(0.05)
-    pool.close()
-    assert sorted(ended) == [0, 1]
-    working.join()
