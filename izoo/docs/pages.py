@@ -92,9 +92,7 @@ def _table(config_class: type, presets: dict[str, Any], prefix: str) -> list[str
         shown = [
             getattr(value, "name", "see below") if dataclasses.is_dataclass(value) else _word(value) for value in values
         ]
-        lines.append(
-            f"| `{path}` | {' | '.join(f'`{text}`' for text in shown)} | {_weight_options(docs, field.name)} |"
-        )
+        lines.append(f"| `{path}` | {' | '.join(f'`{text}`' for text in shown)} | {_meaning(docs, field.name)} |")
     return [*lines, ""]
 
 
@@ -102,7 +100,7 @@ def _rows(prefix: str, config: Any) -> list[str]:
     """Rows of a group of options that has no choices."""
     docs = attribute_docs(type(config))
     return [
-        f"| `{prefix}{field.name}` | `{_word(getattr(config, field.name))}` | {_weight_options(docs, field.name)} |"
+        f"| `{prefix}{field.name}` | `{_word(getattr(config, field.name))}` | {_meaning(docs, field.name)} |"
         for field in dataclasses.fields(config)
     ]
 
@@ -120,7 +118,7 @@ def tasks_table(_: str = "") -> str:
     )
 
 
-def _weight_options(docs: dict[str, str], name: str) -> str:
+def _meaning(docs: dict[str, str], name: str) -> str:
     return html.escape(docs.get(name, ""), quote=False).replace("|", "\\|")
 
 
