@@ -143,14 +143,6 @@ def test_ctrl_c_ends_a_sweep_with_its_present_run(tmp_path: Path) -> None:
     assert len(list(tmp_path.rglob("metrics.csv"))) == 1 and "Stopped at" in output
 
 
-def test_checkpoints_hold_no_code(tmp_path: Path) -> None:
-    path = tmp_path / "checkpoints" / "step-000000000001.pt"
-    path.parent.mkdir()
-    torch.save({"format": checkpoint.FORMAT, "evil": Path("x")}, path)
-    with pytest.raises(IzooError):
-        checkpoint.load(path)
-
-
 def test_the_table_grows_columns_and_leaves_unknown_numbers_empty(tmp_path: Path) -> None:
     table = MetricsTable(tmp_path / "metrics.csv")
     table.append({"frames": 10, "reward": 0.5})

@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sys
-import threading
 import typing
 from collections.abc import Callable
 from pathlib import Path
@@ -160,33 +159,6 @@ def test_a_reset_without_any_flag_changes_nothing(make: Make, simulator: str) ->
     assert torch.equal(after["agents", "observation"], state["agents", "observation"])
 
 
-def test_a_second_thread_is_refused(make: Make) -> None:
-    """It would read the answers that the first one waits for."""
-    env = make("sumo", 2)
-    state = steer(env.reset())
-    asking, go_on, real = threading.Event(), threading.Event(), env.backend.step
-
-    def held(meanwhile: Any = None) -> Any:
-        asking.set()
-        go_on.wait(30)
-        return real(meanwhile)
-
-    env.backend.step = held
-    first = threading.Thread(target=env.step, args=(state.clone(),))
-    first.start()
-    try:
-        assert asking.wait(30)
-        for call in (lambda: env.step(state.clone()), env.reset):
-            with pytest.raises(IzooError, match="another thread"):
-                call()
-    finally:
-        go_on.set()
-        first.join(60)
-    env.backend.step = real
-    env.step(state)
-    assert played(env.reset()) == [2, 3], "the refused reset has used up no episodes"
-
-
 def run(program: str, **environment: str) -> subprocess.CompletedProcess[str]:
     options: dict[str, Any] = {"capture_output": True, "text": True, "timeout": 200}
     return subprocess.run([sys.executable, "-c", program], cwd=ROOT, env={**os.environ, **environment}, **options)
@@ -229,28 +201,6 @@ def test_sumo_refuses_a_locale_with_decimal_comma(tmp_path: Path) -> None:
     subprocess.run(["localedef", "-i", "de_DE", "-f", "UTF-8", str(tmp_path / "de_DE.UTF-8")], check=True)
     done = run(DECIMAL_COMMA, LOCPATH=str(tmp_path), IZOO_CACHE_DIR=str(tmp_path / "cache"))
     assert done.returncode == 0 and "numbers have a decimal comma" in done.stdout, done.stderr
-
-
-FORK = """
-import os, sys
-from izoo.envs import SumoParallelEnv
-from tests.envs.worlds import crossing, play_on, short, steer
-env = SumoParallelEnv(2, crossing(), config=short())
-_, state = play_on(env, 3, steer, env.reset())
-child = os.fork()
-if child == 0:
-    sys.exit(0)
-assert os.waitpid(child, 0)[1] == 0
-play_on(env, 3, steer, state)
-assert env.restarts == 0, 'the forked process ended its parent\\'s workers'
-env.close()
-"""
-
-
-@pytest.mark.slow
-def test_a_forked_process_that_ends_leaves_its_parents_workers_alone() -> None:
-    done = run(FORK)
-    assert done.returncode == 0, done.stderr
 
 
 PARALLEL = """

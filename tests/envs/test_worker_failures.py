@@ -24,7 +24,7 @@ from izoo.contexts.context import Context
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
-from tests.envs.worlds import crossing, defer, digest, play, play_on, process_of, same, short, steer
+from tests.envs.worlds import crossing, defer, digest, play, play_on, process_of, short, steer
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and sends signals")
 
@@ -89,18 +89,6 @@ def test_a_lost_worker_costs_only_its_episode(pair: SumoParallelEnv, number: int
     assert not after["next", "done"][index].any()
     whole = torch.cat([before[other], frame[other].unsqueeze(0), after[other]], 0)
     assert digest(whole) == digest(undisturbed(101)[other])
-
-
-def test_automatic_reset_after_a_lost_worker(pair: SumoParallelEnv) -> None:
-    """It begins the lost worker's next episode, and keeps the other's state."""
-    _, state = play_on(pair, 30, steer, pair.reset())
-    os.kill(process_of(pair, 0), signal.SIGKILL)
-    frame, after = pair.step_and_maybe_reset(steer(state))
-    assert frame["next", "truncated"].flatten().tolist() == [True, False]
-    assert after["context", "episode"].flatten().tolist() == [2, 1]
-    assert after["metrics", "episode", "steps"].flatten().tolist() == [0.0, 31.0]
-    assert same(after[1], frame["next"][1].exclude("reward", ("agents", "reward")))
-    assert not after["done"].any()
 
 
 @pytest.fixture

@@ -7,8 +7,6 @@ import dataclasses
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -141,24 +139,6 @@ def test_weights_whose_commands_are_nan_are_never_the_best(tmp_path: Path) -> No
     assert validator._is_best({"co2_saved": 0.1, "nan_share": 0.0})
     assert not validator._is_best({"co2_saved": 0.9, "nan_share": 0.01})
     assert not validator._is_best({"nan_share": 0.0}), "no saving was measured"
-
-
-@pytest.mark.slow
-def test_processes_import_what_the_run_does(tmp_path: Path) -> None:
-    """All of them: those that simulate, that play the last comparison, and that validate. None looks into the current
-    folder or where ``PYTHONPATH`` leads, if the run does not.
-    """
-    for name in ("json.py", "sitecustomize.py", "izoo.py"):
-        (tmp_path / name).write_text(f"open({str(tmp_path / 'ran')!r}, 'w'); raise SystemExit('a decoy')")
-    words = [word for word in TOY if not word.startswith("evaluation")]
-    words += ["collector=parallel", "num_workers=2", "total_frames=600", f"run_dir={tmp_path / 'run'}"]
-    words += ["evaluation.contexts=1", "evaluation.seeds=1"]
-    command = [sys.executable, "-I", "-c", f"from izoo import train; raise SystemExit(train.main({words!r}))"]
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0 and "failed" not in done.stderr, done.stderr
-    assert not (tmp_path / "ran").exists()
-    assert len(rows(tmp_path / "run" / validation.VALIDATION_FILE)) == 1
 
 
 @pytest.mark.slow
