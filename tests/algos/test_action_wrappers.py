@@ -146,7 +146,7 @@ def say(transform: ActionTransform, advice: list[float], band: float = 0.0, **se
     return TransformedPolicy(learned, transform)(TensorDict({"agents": agents}))
 
 
-def test_whom_glide_leaves_alone_can_only_be_held_back() -> None:
+def test_vehicles_that_glide_leaves_alone_can_only_be_held_back() -> None:
     acted = say(Correction(NominalDriver(ENV)), [-0.5, 0.0, 0.5])
     assert acted[DEFER].tolist() == [True, True, False]
     assert float(acted[base.ACTION][2]) == pytest.approx(nominal() - 0.5, abs=1e-5)

@@ -60,6 +60,14 @@ def test_a_policy_comes_back_with_what_it_is_played_with(written: Path) -> None:
     assert not found.policy.training
 
 
+def test_one_changed_byte_is_noticed(written: Path) -> None:
+    content = bytearray(written.read_bytes())
+    content[len(content) // 2] ^= 1
+    written.write_bytes(content)
+    with pytest.raises(IzooError, match=r"calm\.pt .*(damaged|cut short)"):
+        zoo.read(written)
+
+
 def test_a_file_cannot_name_code(
     written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
