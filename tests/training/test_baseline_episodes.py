@@ -119,6 +119,7 @@ def test_they_are_the_same_numbered_episodes_and_kept(tmp_path: Path) -> None:
     assert np.array_equal(again.sums, played[10].sums) and np.array_equal(again.series[TEAM_REWARD], team)
 
 
+@pytest.mark.slow
 def test_a_lost_process_is_replaced_once_and_none_is_left(tmp_path: Path) -> None:
     options = config()
     with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
