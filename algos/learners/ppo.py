@@ -28,7 +28,7 @@ from izoo.algos.networks.gaussian import CompiledPolicy, SamplingPolicy, normal_
 from izoo.algos.networks.masking import is_set_module
 from izoo.envs import REFERENCE
 from izoo.envs.config import BY_STEP, RewardConfig
-from izoo.errors import IzooError, check_range, check_types
+from izoo.errors import IzooError
 
 POPART_BETA = 0.99
 """What is left of a batch's weight in the statistics one batch later."""
@@ -127,31 +127,17 @@ class PPOConfig(AlgoConfig):
     initial_accel_mps2: float | None = 0.5
     initial_spread: float = 0.35
 
-    def __post_init__(self) -> None:
-        check_types("algo", self)
-        for name in ("frames_per_batch", "epochs", "minibatch_rows"):
-            check_range(f"algo.{name}", getattr(self, name), 1, 10**9)
-        if self.rows_per_epoch is not None:
-            check_range("algo.rows_per_epoch", self.rows_per_epoch, 1, 10**9)
-        if self.target_kl is not None:
-            check_range("algo.target_kl", self.target_kl, 1e-6, 100.0)
-        for name in ("gamma", "gae_lambda"):
-            check_range(f"algo.{name}", getattr(self, name), 0.0, 1.0)
-        for name in ("lr", "reward_scale", "kl_target"):
-            check_range(f"algo.{name}", getattr(self, name), 1e-12, 100.0)
-        check_range("algo.clip_epsilon", self.clip_epsilon, 1e-12, 0.999)
-        check_range("algo.initial_spread", self.initial_spread, *SPREADS)
-        for name in ("value_coeff", "entropy_coeff", "kl_coeff"):
-            check_range(f"algo.{name}", getattr(self, name), 0.0, 1e6)
-        for name in ("max_grad_norm", "value_error_clip"):
-            if getattr(self, name) is not None:
-                check_range(f"algo.{name}", getattr(self, name), 1e-9, 1e9)
-        check_range("algo.warm_start_frames", self.warm_start_frames, 1, 10**12)
-        if self.warm_start_lr is not None:
-            check_range("algo.warm_start_lr", self.warm_start_lr, 1e-12, 100.0)
-        check_range("algo.kl_to_start", self.kl_to_start, 0.0, 1e6)
-        base.check_widths("algo.hidden", self.hidden)
-
+    ranges = (
+        ("epochs minibatch_rows rows_per_epoch", 1, 10**9),
+        ("gamma gae_lambda", 0.0, 1.0),
+        ("lr warm_start_lr reward_scale kl_target", 1e-12, 100.0),
+        ("target_kl", 1e-6, 100.0),
+        ("clip_epsilon", 1e-12, 0.999),
+        ("initial_spread", *SPREADS),
+        ("value_coeff entropy_coeff kl_coeff kl_to_start", 0.0, 1e6),
+        ("max_grad_norm value_error_clip", 1e-9, 1e9),
+        ("warm_start_frames", 1, 10**12),
+    )
     starts_with: ClassVar[str] = "layers"
     estimates_advantages = True
     runs: ClassVar[Mapping[str, Mapping[str, Any]]] = {
@@ -166,15 +152,9 @@ class PPOConfig(AlgoConfig):
         },
     }
 
-    @property
-    def emits(self) -> tuple[str, ...]:
-        """Groups that the environment has to emit for this algorithm."""
-        return ("number",) if self.control_variate == "vehicle" else ()
-
-    @property
-    def second_play(self) -> str:
-        """The option for which every training episode is played a second time, uncommanded; empty: there is none."""
-        return "" if self.control_variate == "none" else f"algo.control_variate={self.control_variate}"
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        base.check_widths("algo.hidden", self.hidden)
 
     def check_run(self, run: Any) -> None:
         """Raise :class:`IzooError` where other options of a run do not go with these."""

@@ -155,21 +155,22 @@ class CompiledPolicy(SamplingPolicy):
         self.arrays = compiled_mlp.Arrays(self.network)
         (extract,) = (module for module in self.network.modules() if isinstance(module, NormalParamExtractor))
         mapping = extract.scale_mapping
-        self.spread = (float(mapping.bias), float(mapping.min_val), float(extract.scale_lb))
+        spread = (float(mapping.bias), float(mapping.min_val), float(extract.scale_lb))
+        self.squashing = compiled_mlp.Squashing(spread, self.bounds, self.half_band)
 
     def sample(self, observation: Tensor, mask: Tensor, noise: Tensor, two_sided: Tensor | None = None) -> Tensor:
         """Return loc, scale, action and log-probability, ``[4, *B, A]``; see :meth:`SamplingPolicy.sample`."""
         if not compiled_mlp.compilable(observation):
             return super().sample(observation, mask, noise, two_sided)
         flags = np.zeros(mask.numel(), np.uint8) if two_sided is None else two_sided.reshape(-1).numpy().view(np.uint8)
-        out, own = np.empty((4, mask.numel()), np.float32), self.arrays
+        out, network = np.empty((4, mask.numel()), np.float32), self.arrays.current()
         rows = observation.reshape(-1, observation.shape[-1]).numpy()
         slots, draws = mask.reshape(-1, mask.shape[-1]).numpy().view(np.uint8), noise.reshape(-1).numpy()
-        network = *own.layers(), own.activation
-        how = self.spread, self.bounds, self.half_band
         compiled_mlp.for_all(
             len(slots),
-            lambda envs: compiled_mlp.act(rows, slots, envs.start, envs.stop, *network, *how, flags, draws, out),
+            lambda envs: compiled_mlp.act(
+                rows, slots, envs.start, envs.stop, network, self.squashing, flags, draws, out
+            ),
         )
         return torch.from_numpy(out).view(4, *mask.shape)
 

@@ -122,19 +122,8 @@ class Learner:
         return state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what :meth:`state_dict` returned, on whichever device that was.
-
-        Raises:
-            ValueError: the state of an optimiser is of other networks; Adam takes any, and fails in its first step.
-        """
+        """Restore what :meth:`state_dict` returned, on whichever device that was."""
         self.algorithm.load_state_dict(state["algorithm"])
-        for optimiser in vars(innermost(self.algorithm)).values():
-            if isinstance(optimiser, torch.optim.Adam):
-                for parameter, entries in optimiser.state.items():
-                    for name, entry in entries.items():
-                        if entry.ndim > 0 and entry.shape != parameter.shape:
-                            shapes = f"{list(entry.shape)}, not {list(parameter.shape)}"
-                            raise ValueError(f"the optimiser's {name} is {shapes}")
         if self.decisions is not None:
             self.decisions.load_state_dict(state["decisions"])
         self.share()

@@ -204,8 +204,16 @@ def test_bad_options_are_refused(words: list[str], message: str, capsys) -> None
     assert message in capsys.readouterr().err
 
 
-def test_options() -> None:
-    words = ["results", "out=a=b.html", "title=one -> 'two'", "task=busy_lane", "replay=false", "imports=true"]
+def test_options(tmp_path: Path) -> None:
+    words = [
+        "results",
+        f"out={tmp_path / 'a=b.html'}",
+        "title=one -> 'two'",
+        "task=busy_lane",
+        "replay=false",
+        "imports=true",
+    ]
     config = COMMAND.compose(COMMAND.named(words))
-    assert config == ReportConfig("results", "busy_lane", "a=b.html", "one -> 'two'", replay=False, imports=True)
+    out = str(tmp_path / "a=b.html")
+    assert config == ReportConfig("results", "busy_lane", out, "one -> 'two'", replay=False, imports=True)
     assert COMMAND.compose(["results=a", "title=null"]).title is None
