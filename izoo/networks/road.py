@@ -132,7 +132,7 @@ def _read_road(path: str, _stamp: int) -> RoadNet:
     root = parse_net(data, path)
     check_representable(root, path)
     try:
-        return _Reader(root, path, hashlib.sha256(data).hexdigest()).read()
+        return NetReader(root, path, hashlib.sha256(data).hexdigest()).read()
     except IzooError:
         raise
     except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
@@ -151,8 +151,8 @@ def parse_net(data: bytes, path: str | Path) -> Any:
     return root
 
 
-class _Reader:
-    """Working tables of one read; only :meth:`read` is called from outside."""
+class NetReader:
+    """Working tables of one read."""
 
     def __init__(self, root: Any, path: str, sha256: str) -> None:
         self.root, self.path, self.sha256 = root, path, sha256
@@ -211,7 +211,7 @@ class _Reader:
             grade=np.array([self._grade(lanes[0]) for lanes in first]),
             movement_turn=turn,
             movement_links=links,
-            clock=read_clock(self.root, self._movement_links(), self.path),
+            clock=read_clock(self.root, self.signal_links(), self.path),
             lane_ids=tuple(self.lanes),
             lane_location=column("location", np.int8),
             lane_edge=column("edge", np.int32),
@@ -268,7 +268,7 @@ class _Reader:
         found = [c for lane in self.edges[edge] for c in self.connections[edge, lane_number(lane)]]
         return [c for c in found if _REGION_EDGE.fullmatch(c.get("to")) and c.get("to")[3:] in self.exits]
 
-    def _movement_links(self) -> dict[tuple[int, int], list[int]]:
+    def signal_links(self) -> dict[tuple[int, int], list[int]]:
         links: dict[tuple[int, int], list[int]] = defaultdict(list)
         for p in range(len(self.approaches)):
             for c in self._stop_line_connections(p):

@@ -15,6 +15,7 @@ Where traffic drives on the left the extract is mirrored (:mod:`izoo.networks.os
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import itertools
 import math
@@ -29,14 +30,14 @@ from izoo.errors import IzooError
 from izoo.files import expanded
 from izoo.networks.osm.build_report import OsmReport
 from izoo.networks.osm.carriageways import approach_of, exit_of
+from izoo.networks.osm.counts import TrafficCounts, peak_flows, read_counts, read_movement_counts, with_counts
 from izoo.networks.osm.driving_side import Side
+from izoo.networks.osm.elevation import Elevation
 from izoo.networks.osm.junctions import Core, StreetGraph, find_cores
 from izoo.networks.osm.legs import Street, find_streets
-from izoo.networks.osm.movement_counts import peak_flows, read_movement_counts, with_counts
 from izoo.networks.osm.plans import IMPUTED as PLAN_IMPUTED
 from izoo.networks.osm.plans import read_plans, with_plan
 from izoo.networks.osm.raw import REVERSIBLE
-from izoo.networks.osm.side_tables import Elevation, TrafficCounts, read_counts
 from izoo.networks.osm.store import check_target, save_cmdp
 from izoo.networks.osm.streets import StreetMap, read_streets
 from izoo.networks.osm.tags import class_default
@@ -61,9 +62,9 @@ def build_from_osm(
         file: the extract.
         target: a new or empty folder, or an earlier build, which is replaced unless it was edited.
         elevation: a raster of heights in m.
-        aadt: a CSV table of traffic counts; see :func:`izoo.networks.osm.side_tables.read_counts`.
+        aadt: a CSV table of traffic counts; see :func:`izoo.networks.osm.counts.read_counts`.
         signals: a JSON file of signal plans by intersection; see :mod:`izoo.networks.osm.plans`.
-        counts: a CSV table of turning counts; see :mod:`izoo.networks.osm.movement_counts`.
+        counts: a CSV table of turning counts; see :func:`izoo.networks.osm.counts.read_movement_counts`.
         drives_on: the side that traffic drives on; ``None``: that of the country.
 
     Raises:
@@ -224,7 +225,7 @@ class _Builder:
         grade = self._grade(stub.nodes)
         if grade is None:
             guessed.append(f"grade of {leg.name}")
-        return Approach(**{**vars(approach), "aadt_per_lane": aadt_per_lane, "grade": grade or 0.0})
+        return dataclasses.replace(approach, aadt_per_lane=aadt_per_lane, grade=grade or 0.0)
 
     def _grade(self, nodes: tuple[int, ...]) -> float | None:
         """Rise over run towards the stop line; ``None`` where a height is missing or the slope is implausible."""

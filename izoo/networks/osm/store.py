@@ -13,7 +13,7 @@ from typing import Any
 from izoo.contexts.spec import IntersectionSpec, spec_from_dict
 from izoo.errors import IzooError
 from izoo.files import check_replaceable, expanded, os_reason, replacing_folder
-from izoo.networks.osm.movement_counts import check_exit_counts
+from izoo.networks.osm.counts import check_exit_counts
 from izoo.networks.osm.plans import with_plan
 
 CMDP_FILE = "cmdp.json"
