@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from izoo.contexts.distributions import Box, Choice, Fixed, Product, Uniform, Weighted, as_distribution
+from izoo.contexts.distributions import Box, Choice, Fixed, Product, Uniform, as_distribution
 from izoo.errors import IzooError
 
 
@@ -13,7 +13,7 @@ def test_reading_a_setting():
 
 def test_weighted_frequencies():
     generator = np.random.default_rng(0)
-    weighted = Weighted(("a", "b", "c"), (0.2, 0.0, 0.8))
+    weighted = Choice(("a", "b", "c"), (0.2, 0.0, 0.8))
     draws = [weighted.sample(generator) for _ in range(4000)]
     assert draws.count("b") == 0
     assert draws.count("a") / 4000 == pytest.approx(0.2, abs=0.02)
@@ -31,8 +31,8 @@ def test_uniform_stays_inside():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: Weighted((1, 2), (-0.5, 1.5)), r"\[0, 1\]"),
-        (lambda: Weighted((1, 2), (1.0,)), "one probability per value"),
+        (lambda: Choice((1, 2), (-0.5, 1.5)), r"\[0, 1\]"),
+        (lambda: Choice((1, 2), (1.0,)), "one probability per value"),
         (lambda: Uniform(float("nan"), 1.0), "not finite"),
         (lambda: Product({"x": [1, 2]}, (Box({"y": 1}),)), "unknown feature of an exclusion box 'y'"),
         (lambda: Product({"x": [1, 2]}, (Box({"x": (0, 3)}),)), "leaves nothing"),
