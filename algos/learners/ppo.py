@@ -359,7 +359,7 @@ class PPO:
         if not imitates:  # while it imitates, the penalty does not act
             self._adapt_kl_weight(stats.get("kl"))
         stats["lr"] = self.optimiser.param_groups[0]["lr"]
-        stats["agent_rows"], stats["gradient_steps"] = float(len(rows)), float(steps)
+        stats["gradient_steps"] = float(steps)
         return stats
 
     def _clip(self) -> dict[str, Tensor]:

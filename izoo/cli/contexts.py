@@ -10,7 +10,6 @@ from pathlib import Path
 from izoo.cli.subcommands import SubcommandCommand, argument
 from izoo.console import Progress, counted, plain, unheard
 from izoo.contexts import catalogue
-from izoo.contexts.cities.compare import feature_table, format_distances
 from izoo.contexts.cities.plans import measure
 from izoo.contexts.cities.rebuilt import CITIES, SIZES, city_name, get
 from izoo.contexts.context import ENGINES, HOURS, SEASONS, Context
@@ -116,6 +115,8 @@ def _cities(_: argparse.Namespace) -> None:
     argument("--city", action="append", help="default: all ten"),
 )
 def _compare(options: argparse.Namespace) -> None:
+    from izoo.contexts.cities.compare import feature_table, format_distances
+
     tables = {name: feature_table(get(name)) for name in map(city_name, options.city or CITIES)}
     print("total variation between rebuilt and published distributions, before the flow cap (target: at most 0.05)")
     print(format_distances(tables))

@@ -62,14 +62,6 @@ def test_nothing_is_written_outside_the_cache(tmp_path, monkeypatch):
     assert [path.suffixes for path in (tmp_path / "cache" / "nets").iterdir()] == [[".net", ".xml"]]
 
 
-def test_the_environment_chooses_the_folder(tmp_path, monkeypatch):
-    monkeypatch.setenv(cache.CACHE_ENV, str(tmp_path / "chosen"))
-    assert cache.cache_folder() == tmp_path / "chosen" / "nets"
-    monkeypatch.delenv(cache.CACHE_ENV)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "user"))
-    assert cache.cache_folder() != tmp_path / "chosen" / "nets"
-
-
 def test_a_folder_that_cannot_be_made_is_explained(tmp_path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(IzooError, match=r"cannot write to the cache folder .* IZOO_CACHE_DIR"):
