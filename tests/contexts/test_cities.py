@@ -43,7 +43,7 @@ def test_golden_intersections(city):
 
 
 def test_names_are_forgiving_and_unknown_ones_are_refused():
-    assert cities.get("Salt-Lake-City").name == "salt_lake_city"
+    assert cities.get("Salt-Lake-City")[0].name == "salt_lake_city/0"
     with pytest.raises(IzooError, match="Did you mean 'seattle'"):
         cities.get("seatle")
     with pytest.raises(IndexError):

@@ -272,7 +272,7 @@ def test_left_hand_traffic_is_mirrored(tmp_path: Path) -> None:
 
 def test_london_and_sydney_are_mirrored(faults: Path, tmp_path: Path) -> None:
     report = build_from_osm(faults / "osm" / "london.osm", target=tmp_path / "town")
-    assert report.mirrored == "Great Britain and Ireland"
+    assert report.read.mirrored == "Great Britain and Ireland"
     assert "traffic drives on the left there (Great Britain and Ireland): all intersections are mirrored" in str(report)
     (spec,) = load_specs(tmp_path / "town")
     streets = {name: leg for leg, name in next(iter(report.streets.values())).items()}
@@ -283,9 +283,9 @@ def test_london_and_sydney_are_mirrored(faults: Path, tmp_path: Path) -> None:
         (faults / "osm" / "london.osm").read_text().replace('lat="51.', 'lat="-33.').replace('lon="-0.1', 'lon="151.1')
     )
     (tmp_path / "sydney.osm").write_text(moved)
-    assert build_from_osm(tmp_path / "sydney.osm", target=tmp_path / "sydney").mirrored == "Australia"
+    assert build_from_osm(tmp_path / "sydney.osm", target=tmp_path / "sydney").read.mirrored == "Australia"
     report = build_from_osm(faults / "osm" / "london.osm", target=tmp_path / "as_it_is", drives_on="right")
-    assert report.mirrored == "" and "mirrored" not in str(report)
+    assert report.read.mirrored == "" and "mirrored" not in str(report)
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,7 @@ from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 from izoo.results.contexts_file import CONTEXTS_FILE, add_contexts, context_from_dict, read_contexts
-from izoo.results.saturation import volume_over_capacity
-from izoo.results.schema import COLUMNS, KEY, make_table
+from izoo.results.schema import COLUMNS, KEY, make_table, volume_over_capacity
 
 
 def context_with(**features: object) -> Context:
