@@ -64,8 +64,8 @@ def test_contexts_of_a_folder_add_up(tmp_path: Path) -> None:
     add_contexts(tmp_path, [two, one])
     assert read_contexts(tmp_path) == {one.content_hash: one, two.content_hash: two}
     (tmp_path / CONTEXTS_FILE).write_bytes(gzip.compress(b" " * (1 << 29)))
-    with pytest.raises(IzooError, match=r"cannot be read; remove it"):
+    with pytest.raises(IzooError, match="cannot read"):
         read_contexts(tmp_path)
     (tmp_path / CONTEXTS_FILE).unlink()
-    with pytest.raises(IzooError, match=r"has no contexts\.json\.gz"):
+    with pytest.raises(IzooError, match=r"there is no .*contexts\.json\.gz"):
         read_contexts(tmp_path)
