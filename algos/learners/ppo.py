@@ -352,8 +352,7 @@ class PPO:
         stats = {} if not found else {key: float(value) for key, value in torch.stack(found).mean(0).items()}  # type: ignore[call-overload]
         if not imitates:  # while it imitates, the penalty does not act
             self._adapt_kl_weight(stats.get("kl"))
-        stats["lr"] = float(self._lr)
-        stats["agent_rows"], stats["gradient_steps"] = float(len(rows)), float(len(found))
+        stats["lr"], stats["gradient_steps"] = float(self._lr), float(len(found))
         return stats
 
     def _set_lr(self, lr: float) -> None:

@@ -87,12 +87,13 @@ class Learner:
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
         """Learn from a batch ``[N, T]`` that was collected on the CPU; see :class:`izoo.algos.learners.base.Algorithm`.
 
-        The algorithm sees decisions, and shaped rewards where the batch holds potentials.
+        The algorithm sees decisions, and shaped rewards where the batch holds potentials. The figures of every
+        algorithm hold ``decisions``: how many it learned from.
         """
-        stats: dict[str, float] = {}
         if self.decisions is not None:
             batch = self.decisions(batch)
-            stats["decisions"] = float(len(batch))
+        # Each entry of :class:`Decisions` is one; elsewhere every agent in a step takes one.
+        stats = {"decisions": float(len(batch) if self.decisions is not None else batch.get(MASK).sum())}
         if batch.get(POTENTIAL, None) is not None:
             batch = shaped(batch, self.gamma)
         if batch.numel() > 0:
