@@ -80,7 +80,7 @@ def owned(run_dir: Path) -> Iterator[None]:
 
 
 def _remove(run_dir: Path, config: TrainConfig, made: Sequence[Path]) -> None:
-    """Remove what a run has put into its folder, and the folders that were made for it, unless they hold other things."""
+    """Remove what a run has put into its folder, and the folders made for it that hold nothing else."""
     for path in (run_dir / CONFIG_FILE, *(kept for _, kept in _drivers(run_dir, config))):
         path.unlink(missing_ok=True)
     for folder in LOGGER_FOLDERS:
