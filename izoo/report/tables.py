@@ -177,7 +177,7 @@ class Table:
 def print_summary(summary: Mapping[str, Any], verbose: bool = False, console: Console | None = None) -> None:
     """Print the headline of a summary, with ``verbose`` everything else, and the verdict."""
     console = console or Console()
-    first, *others = [*_tables(summary), *(details(summary) if verbose else ())]
+    first, *others = [*shown_first(summary), *(details(summary) if verbose else ())]
     (first if verbose else first.first(FIRST_ROWS)).show(console)
     if not verbose and len(first.rows) > FIRST_ROWS:
         console.print(f"The first {FIRST_ROWS} of {len(first.rows)} rows; -v shows all.", highlight=False)
@@ -190,13 +190,13 @@ def print_summary(summary: Mapping[str, Any], verbose: bool = False, console: Co
 def markdown(summary: Mapping[str, Any]) -> str:
     """Return everything that :func:`print_summary` prints, in Markdown."""
     parts = []
-    for table in [*_tables(summary), *details(summary)]:
+    for table in [*shown_first(summary), *details(summary)]:
         parts += [f"{_marked(table.title)}:", table.markdown()]
     return "\n\n".join([*parts, *map(_marked, (counts(summary), *cautions(summary), summary["verdict"]))]) + "\n"
 
 
-def _tables(summary: Mapping[str, Any]) -> list[Table]:
-    """The tables that are always shown."""
+def shown_first(summary: Mapping[str, Any]) -> list[Table]:
+    """Return the tables that are always shown, the headline first."""
     further = {"gaps": gaps, "cities": cities}
     return [headline(summary), *(table(summary) for key, table in further.items() if summary[key])]
 

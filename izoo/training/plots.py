@@ -265,6 +265,7 @@ def _draw_series(axes: Axes, series: Series, label: str, across: bool) -> None:
         return
     if series.kind == "bars":
         axes.bar(x, y, width=x[1] - x[0] if len(x) > 1 else 1.0, **style)
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
         return
     if ends is not None:
         known = np.isfinite(ends).all(0)
