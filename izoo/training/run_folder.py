@@ -85,9 +85,9 @@ def _remove(run_dir: Path, config: TrainConfig, made: Sequence[Path]) -> None:
         path.unlink(missing_ok=True)
     for folder in LOGGER_FOLDERS:
         shutil.rmtree(run_dir / folder, ignore_errors=True)
-    for folder in (checkpoint.folder_of(run_dir), *made):
+    for path in (checkpoint.folder_of(run_dir), *made):
         with contextlib.suppress(OSError):
-            folder.rmdir()
+            path.rmdir()
 
 
 def write_config(run_dir: Path, config: TrainConfig) -> None:
