@@ -12,7 +12,6 @@ import pytest
 
 from izoo.errors import IzooError
 from izoo.files import partial_of
-from izoo.networks.dataset import importing
 from izoo.networks.dataset.importing import import_dataset
 from izoo.networks.dataset.intersections import load_dataset
 from tests.networks.test_dataset import NET, write
@@ -128,12 +127,6 @@ def test_damaged_archives_are_named(tmp_path: Path, source: Path) -> None:
     path.write_bytes(data)
     with pytest.raises(IzooError, match="none of the 1 folders"):
         import_dataset(path, tmp_path / "target")
-    path = pack(tmp_path / "v.zip", {"t/1/net.net.xml": NET, "t/1/inflows.txt": "1\n1\n1\n"})
-    data = bytearray(path.read_bytes())
-    data[data.rindex(b"PK\x01\x02") + 6] = 140  # the version that it takes to unpack a member, in the directory
-    path.write_bytes(data)
-    with pytest.raises(IzooError, match=r"neither a folder nor a readable zip archive .*14"):
-        import_dataset(path, tmp_path / "target")
     assert not (tmp_path / "target").exists()
 
 
@@ -184,7 +177,7 @@ def test_an_earlier_import_is_replaced_whole(tmp_path: Path, source: Path) -> No
     assert not (target / "salt-lake-city").exists()
 
 
-def test_an_import_is_whole_or_leaves_no_trace(tmp_path: Path, source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_import_is_whole_or_leaves_no_trace(tmp_path: Path, source: Path) -> None:
     target = tmp_path / "target"
 
     def stop(done: int, total: int) -> None:
@@ -200,12 +193,4 @@ def test_an_import_is_whole_or_leaves_no_trace(tmp_path: Path, source: Path, mon
     before = tree(tmp_path)
     with pytest.raises(KeyboardInterrupt):
         import_dataset(source, target, progress=stop)
-    assert tree(tmp_path) == before and len(load_dataset(target)) == 1
-
-    def full(path: Path, content: object) -> None:
-        raise OSError("disk full")
-
-    monkeypatch.setattr(importing, "write_json", full)
-    with pytest.raises(IzooError, match="disk full"):
-        import_dataset(source, target)
     assert tree(tmp_path) == before and len(load_dataset(target)) == 1

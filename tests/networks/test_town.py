@@ -23,6 +23,7 @@ from izoo.networks.signals.delay import peak_movements
 from izoo.results.contexts_file import context_from_dict
 from izoo.traffic.sampling import sample_traffic
 from tests.networks.test_osm import Map, approach, crossing
+from tests.networks.test_osm import build as osm_build
 
 pytest.importorskip("osmium", reason="reading OpenStreetMap needs the extra izoo[osm]")
 
@@ -41,8 +42,7 @@ PLAN = {
 
 
 def build(tmp_path: Path, plan: Map | None = None, **options: Any) -> IntersectionSpec:
-    build_from_osm((plan or crossing()).write(tmp_path / "map.osm"), target=tmp_path / "town", **options)
-    return load_specs(tmp_path / "town")[0]
+    return osm_build(plan or crossing(), tmp_path, **options)[0]
 
 
 def edit(file: Path, plan: Any) -> None:

