@@ -21,9 +21,8 @@ from izoo.errors import IzooError
 from izoo.networks.net import build
 from izoo.results import evaluate_policy, read_table, summarise
 from izoo.results.cache import EpisodeCache, baseline_context
-from izoo.results.contexts_file import read_contexts
 from izoo.results.playing import EpisodeFailed, Setup
-from izoo.results.store import PolicyRecord, read_manifest
+from izoo.results.store import PolicyRecord, read_contexts, read_manifest
 from tests.conftest import SHORT
 from tests.results import odd_policies as drivers
 from tests.results.conftest import SEEDS
