@@ -1,26 +1,28 @@
 """Import of a downloaded dataset: every intersection is checked, the usable ones are copied and indexed.
 
 The target holds one folder per dataset (its name says the city), ``index.csv`` and ``manifest.json``. It appears whole,
-or not at all.
+or not at all. Nothing is written under a name that an archive gives, and no more is unpacked than a net may hold.
 """
 
 from __future__ import annotations
 
 import csv
+import functools
 import hashlib
 import json
 import os
 import re
 import shutil
-from collections.abc import Callable
+import zipfile
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from izoo.console import counted, plain
 from izoo.contexts.spec import IntersectionSpec
 from izoo.errors import IzooError
-from izoo.files import check_replaceable, expanded, os_reason, replacing_folder, write_json
-from izoo.networks.dataset.archive import Archive, open_archive
+from izoo.files import check_replaceable, expanded, os_reason, read_bytes, replacing_folder, write_json
 from izoo.networks.dataset.intersections import INFLOW_FILE, NET_FILE, load_intersection, natural_key
 
 MANIFEST, INDEX = "manifest.json", "index.csv"
@@ -186,3 +188,77 @@ def _write_index(folder: Path, specs: list[IntersectionSpec], unusable: dict[str
         "unusable": unusable,
     }
     write_json(folder / MANIFEST, manifest)
+
+
+MAX_FILE_BYTES = 16 * 1024**2
+"""A net of the published dataset has about 0.1 MB; a larger file is not read."""
+
+
+@dataclass(frozen=True)
+class Archive:
+    """A folder or a zip file.
+
+    Attributes:
+        label: what stands above its files.
+        files: how to read each, by relative POSIX path, in no particular order.
+        folders: every one.
+    """
+
+    label: tuple[str, ...]
+    files: Mapping[PurePosixPath, Callable[[], bytes]]
+    folders: Collection[PurePosixPath]
+
+    def read(self, name: PurePosixPath) -> bytes:
+        """Content of a file; :class:`IzooError` if it cannot be read or is too large."""
+        try:
+            content = self.files[name]()
+        except Exception as error:  # the errors of zipfile and its four decompressors have no common base
+            raise IzooError(f"cannot read {name} ({error}); fetch it again.") from error
+        if len(content) > MAX_FILE_BYTES:
+            raise IzooError(
+                f"{name} is larger than {MAX_FILE_BYTES // 1024**2} MiB; no net or inflow file is; fetch it again."
+            )
+        return content
+
+
+@contextmanager
+def open_archive(source: Path) -> Iterator[Archive]:
+    """Open a folder or a zip file.
+
+    Raises:
+        IzooError: ``source`` does not exist, or is neither.
+    """
+    if source.is_dir():
+        yield _folder(source)
+    elif not source.exists():
+        raise IzooError(f"{source} does not exist; give the path of the dataset's folder or zip archive.")
+    elif not source.is_file():  # a device may have no end
+        raise IzooError(f"{source} is neither a folder nor a file; give the dataset's folder or zip archive.")
+    else:
+        try:
+            file = zipfile.ZipFile(source)
+        except Exception as error:  # zipfile's errors about damaged directories have no common base, either
+            raise IzooError(f"{source} is neither a folder nor a readable zip archive ({error}).") from error
+        with file:
+            members = {PurePosixPath(info.filename): info for info in file.infolist()}
+            files = {name: functools.partial(_unpacked, file, info) for name, info in members.items()}
+            folders = {parent for name in members for parent in name.parents}
+            empty = [name for name, info in members.items() if info.is_dir()]
+            for name in empty:
+                del files[name]
+            yield Archive((source.stem,), files, folders.union(empty))
+
+
+def _folder(source: Path) -> Archive:
+    label = source.resolve().parts[-2:] if source.name in ("", "..") else source.absolute().parts[-2:]
+    files: dict[PurePosixPath, Callable[[], bytes]] = {}
+    folders = []
+    for folder, _, names in os.walk(source):
+        folders.append(PurePosixPath(Path(folder).relative_to(source).as_posix()))
+        files |= {folders[-1] / name: functools.partial(read_bytes, Path(folder, name)) for name in names}
+    return Archive(label, files, folders)
+
+
+def _unpacked(file: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
+    with file.open(info) as stream:
+        return stream.read(MAX_FILE_BYTES + 1)
