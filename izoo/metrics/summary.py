@@ -282,8 +282,8 @@ def _pairwise(pairs: Pairs, block: str, reference: str | None) -> list[Summary]:
 def _gaps(test: Pairs, training: Pairs, block: str) -> Summary:
     """By entry, the CO2 saved on training contexts, and how much more that is than on test contexts (points)."""
     found = {}
-    for name in test.keys() & training.keys() - set(BASELINES):
-        if not (test[name] and training[name]):
+    for name in test:
+        if name in BASELINES or not (test[name] and training.get(name)):
             continue
         sides = [next(iter(pairs[name].values())) for pairs in (training, test)]
         (there, _), (here, _) = (by_intersection(*_saved(paired, block)) for paired in sides)
