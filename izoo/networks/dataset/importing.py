@@ -182,7 +182,7 @@ def _write_index(folder: Path, specs: list[IntersectionSpec], unusable: dict[str
     manifest = {
         "format": FORMAT,
         "source": source_name,
-        "datasets": sorted({row["dataset"] for row in rows}),
+        "datasets": sorted({str(row["dataset"]) for row in rows}),
         "intersections": len(rows),
         "approaches": sum(len(spec.approach_names) for spec in specs),
         "unusable": unusable,
