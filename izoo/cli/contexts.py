@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from izoo.cli.subcommands import SubcommandCommand, argument
-from izoo.console import Progress, counted, plain, unheard
+from izoo.console import Progress, counted, plain, survives_lost_output
 from izoo.contexts import catalogue
 from izoo.contexts.cities.plans import measure
 from izoo.contexts.cities.rebuilt import CITIES, SIZES, city_name, get
@@ -127,7 +127,7 @@ def _compare(options: argparse.Namespace) -> None:
     argument("path", type=Path, help="a folder or zip archive of intersection folders"),
     argument("target", type=Path, nargs="?", help="a new folder; default: datasets/NAME in this folder"),
 )
-@unheard()
+@survives_lost_output()
 def _import(options: argparse.Namespace) -> None:
     target = options.target or Path("datasets", options.path.resolve().stem)
     print(f"checking {plain(options.path)}", flush=True)
@@ -156,7 +156,7 @@ def _import(options: argparse.Namespace) -> None:
     argument("--drives-on", choices=SIDES, help="the side of traffic; default: that of the country"),
     argument("target", type=Path, help="a new folder, or an earlier build, which is replaced unless it was edited"),
 )
-@unheard()
+@survives_lost_output()
 def _build(options: argparse.Namespace) -> None:
     print(f"reading {plain(options.osm)}", flush=True)
     from izoo.networks.osm.extract import build_from_osm
@@ -171,7 +171,7 @@ def _build(options: argparse.Namespace) -> None:
     argument("what", help="a path (an intersection, or a folder of some), or an id, CITY or CITY/NUMBER"),
     argument("png", type=Path, help="the picture to write"),
 )
-@unheard()
+@survives_lost_output()
 def _draw(options: argparse.Namespace) -> None:
     print(f"drawing {plain(options.what)}", flush=True)
     from izoo.cli.draw import draw
