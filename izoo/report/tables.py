@@ -20,10 +20,9 @@ from rich.text import Text
 
 from izoo.console import counted, plain
 from izoo.envs import SIMULATORS
-from izoo.metrics.episode_seeds import MIN_EPISODE_SEEDS
 from izoo.metrics.figures import FIGURES, HEADLINE, Figure
 from izoo.metrics.pairing import BASELINES, HUMAN, UNCOMMANDED
-from izoo.metrics.summary import BLOCKS
+from izoo.metrics.summary import BLOCKS, MIN_EPISODE_SEEDS
 
 FIRST_ROWS = 6
 SAVED = HEADLINE[0]
