@@ -208,6 +208,8 @@ def test_cfg_prints_the_options_of_every_run_and_runs_none(
     assert first_line.startswith("izoo ")
     shown = [(config["seed"], config["algo"]["name"]) for config in yaml.safe_load_all(rest)]
     assert shown == [(0, "ppo"), (0, "ddpg"), (1, "ppo"), (1, "ddpg")]
+    assert train.main(["--cfg", "contexts=city", "contexts.city=atlantis"]) == 2
+    assert "Did you mean 'atlanta'?" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

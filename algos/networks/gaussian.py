@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -42,6 +43,13 @@ def normal_parameters(
     return NormalParamExtractor(scale_mapping=f"biased_softplus_{initial_spread}", scale_lb=0.01)
 
 
+class RangedTanhNormal(TanhNormal):
+    """TorchRL's, with bounds that are made where its parameters are, so that CUDA graphs can hold it."""
+
+    def __init__(self, loc: Tensor, scale: Tensor, low: float, high: float, **options: Any) -> None:
+        super().__init__(loc, scale, low=loc.new_full((), low), high=loc.new_full((), high), **options)
+
+
 def tanh_normal(network: nn.Module, in_keys: Sequence[tuple[str, ...]], space: ActionSpace) -> ProbabilisticActor:
     """Return the policy over actions in ``space`` whose ``(loc, scale)`` ``network`` returns."""
     point_mass = space.point_mass
@@ -52,7 +60,7 @@ def tanh_normal(network: nn.Module, in_keys: Sequence[tuple[str, ...]], space: A
         TensorDictModule(network, in_keys=list(in_keys), out_keys=[base.LOC, base.SCALE]),
         in_keys=parameters,
         out_keys=[base.ACTION],
-        distribution_class=TanhNormal if point_mass is None else CensoredNormal,
+        distribution_class=RangedTanhNormal if point_mass is None else CensoredNormal,
         distribution_kwargs={"low": space.low, "high": space.high}
         if point_mass is None
         else {"bound": space.high, "half_band": point_mass.half_band},

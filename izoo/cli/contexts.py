@@ -10,9 +10,8 @@ from pathlib import Path
 from izoo.cli.subcommands import SubcommandCommand, argument
 from izoo.console import Progress, counted, plain, survives_lost_output
 from izoo.contexts import catalogue
-from izoo.contexts.cities.compare import compare_cities, format_distances
 from izoo.contexts.cities.plans import measure
-from izoo.contexts.cities.rebuilt import CITIES, SIZES, city_name
+from izoo.contexts.cities.rebuilt import CITIES, SIZES, city_name, get
 from izoo.contexts.context import ENGINES, HOURS, SEASONS, Context
 from izoo.contexts.splits import SPLITS
 from izoo.errors import IzooError
@@ -116,7 +115,9 @@ def _cities(_: argparse.Namespace) -> None:
     argument("--city", action="append", help="default: all ten"),
 )
 def _compare(options: argparse.Namespace) -> None:
-    tables = compare_cities([city_name(city) for city in options.city or CITIES])
+    from izoo.contexts.cities.compare import feature_table, format_distances
+
+    tables = {name: feature_table(get(name)) for name in map(city_name, options.city or CITIES)}
     print("total variation between rebuilt and published distributions, before the flow cap (target: at most 0.05)")
     print(format_distances(tables))
 

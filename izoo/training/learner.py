@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from izoo.algos.learners.base import POTENTIAL, Keys, innermost, reads
+from izoo.algos.learners.base import MASK, OBSERVATION, POTENTIAL, Keys, innermost, reads
 from izoo.algos.learners.decisions import Decisions, shaped
 from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.train_options import TrainConfig
@@ -20,6 +20,8 @@ from izoo.envs.config import STEP
 from izoo.gpu import check_gpu
 
 COLLECTS_ON = torch.device("cpu")
+_SPARSE: dict[tuple[str, ...], tuple[str, ...]] = {OBSERVATION: MASK, ("next", *OBSERVATION): ("next", *MASK)}
+"""What is 0 but where an agent is, and what says where."""
 
 
 def learner_device(name: str) -> torch.device:
@@ -33,6 +35,19 @@ def learner_device(name: str) -> torch.device:
     if name == "cuda":
         check_gpu("device", "cpu")
     return torch.device(name)
+
+
+def to_learner(batch: TensorDictBase, device: torch.device) -> TensorDictBase:
+    """Return a batch on the learner's device; of observations, which are 0 in empty slots, those of agents travel."""
+    if device == COLLECTS_ON:
+        return batch
+    sparse = {key: mask for key, mask in _SPARSE.items() if {key, mask} <= set(batch.keys(True, True))}
+    found = batch.exclude(*sparse).to(device)
+    for key, mask in sparse.items():
+        dense = batch.get(key)
+        rows = dense[batch.get(mask)].to(device)
+        found.set(key, rows.new_zeros(dense.shape).index_put_((found.get(mask),), rows))
+    return found
 
 
 def is_finite(state: Any) -> bool:
@@ -72,17 +87,17 @@ class Learner:
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
         """Learn from a batch ``[N, T]`` that was collected on the CPU; see :class:`izoo.algos.learners.base.Algorithm`.
 
-        The algorithm sees decisions, and shaped rewards where the batch holds potentials.
+        The algorithm sees decisions, and shaped rewards where the batch holds potentials. The figures of every
+        algorithm hold ``decisions``: how many it learned from.
         """
-        stats: dict[str, float] = {}
         if self.decisions is not None:
             batch = self.decisions(batch)
-            stats["decisions"] = float(len(batch))
+        # Each entry of :class:`Decisions` is one; elsewhere every agent in a step takes one.
+        stats = {"decisions": float(len(batch) if self.decisions is not None else batch.get(MASK).sum())}
         if batch.get(POTENTIAL, None) is not None:
             batch = shaped(batch, self.gamma)
         if batch.numel() > 0:
-            at_home = self.device == COLLECTS_ON
-            stats |= self.algorithm.update(batch if at_home else batch.to(self.device), progress)
+            stats |= self.algorithm.update(to_learner(batch, self.device), progress)
         self.share()
         return stats
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -51,9 +51,11 @@ def created(config: TrainConfig) -> Iterator[Path]:
         IzooError: the folder already holds something, cannot be made, or another process begins a run there.
     """
     label = f"{datetime.now():%Y-%m-%d_%H-%M-%S}-{config.algo.name}-seed{config.seed}"
-    existed = config.run_dir is not None and Path(config.run_dir).exists()
+    wanted = Path(config.run_dir) if config.run_dir else Path.cwd() / "runs" / label
     with usable_paths():
-        run_dir = Path(config.run_dir) if config.run_dir else free_folder(Path.cwd() / "runs" / label)
+        existed = config.run_dir is not None and wanted.exists()
+        above = [folder for folder in wanted.parents if not folder.exists()]
+        run_dir = wanted if config.run_dir else free_folder(wanted)
     ensure_empty(run_dir, "run_dir", "go on with that run: resume=" + str(run_dir))
     with owned(run_dir):
         try:
@@ -62,7 +64,7 @@ def created(config: TrainConfig) -> Iterator[Path]:
             yield run_dir
         except BaseException:
             if not checkpoint.listed(run_dir) and not (run_dir / METRICS_FILE).exists():
-                _remove(run_dir, config, existed)
+                _remove(run_dir, config, above if existed else [run_dir, *above])
             raise
 
 
@@ -77,13 +79,13 @@ def owned(run_dir: Path) -> Iterator[None]:
         yield
 
 
-def _remove(run_dir: Path, config: TrainConfig, existed: bool) -> None:
-    """Remove what a run has put into its folder, and the folder unless it was there before or holds other things."""
+def _remove(run_dir: Path, config: TrainConfig, made: Sequence[Path]) -> None:
+    """Remove what a run has put into its folder, and the folders made for it that hold nothing else."""
     for path in (run_dir / CONFIG_FILE, *(kept for _, kept in _drivers(run_dir, config))):
         path.unlink(missing_ok=True)
     for folder in LOGGER_FOLDERS:
         shutil.rmtree(run_dir / folder, ignore_errors=True)
-    for folder in (checkpoint.folder_of(run_dir), *(() if existed else (run_dir,))):
+    for folder in (checkpoint.folder_of(run_dir), *made):
         with contextlib.suppress(OSError):
             folder.rmdir()
 

@@ -313,7 +313,8 @@ def test_too_few_approaches_are_refused(make: Make, simulator: str) -> None:
 
 
 def test_worker_processes_do_not_import_torch() -> None:
-    program = "import izoo.envs.sumo.simulator, izoo.envs.sumo.worker, sys; print('torch' in sys.modules)"
+    workers = "izoo.envs.sumo.simulator, izoo.envs.sumo.worker, izoo.envs.twin.runtime.preparers"
+    program = f"import {workers}, sys; print('torch' in sys.modules)"
     output = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
     assert output.stdout.strip() == "False"
 

@@ -21,7 +21,7 @@ from izoo.algos.learners.td3 import TD3Config
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
-from izoo.training.learner import Learner, learner_device
+from izoo.training.learner import Learner, learner_device, to_learner
 from tests.algos import frames
 
 CPU, OTHER = torch.device("cpu"), torch.device("cpu:0")
@@ -96,6 +96,41 @@ def test_what_was_learned_on_one_device_goes_on_on_another(name: str, monkeypatc
     assert torch.equal(torch.get_rng_state(), state["torch_rng"])
     expected = weights(first.policy)
     assert all(torch.equal(value, expected[key]) for key, value in weights(second.policy).items())
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@pytest.mark.parametrize("resumed", [False, True])
+def test_gradient_steps_that_a_gpu_replays_learn_what_those_that_are_launched_do(
+    monkeypatch: pytest.MonkeyPatch, resumed: bool
+) -> None:
+    found = []
+    for replays in (True, False):
+        learner = make("ppo", torch.device("cuda"))
+        assert learner.algorithm._replayed is not None
+        if not replays:
+            learner.algorithm._replayed = None
+        for progress in (0.0, 0.5):
+            batch = collect(learner, monkeypatch)
+            torch.manual_seed(2)
+            stats = learner.update(batch, progress)
+            assert stats["gradient_steps"] > 4 and stats["lr"] == pytest.approx(5e-4 * (1.0 - progress))
+            if resumed:
+                learner.load_state_dict(copy.deepcopy(learner.state_dict()))
+        found.append((stats, weights(learner.policy)))
+    (one, replayed), (other, launched) = found
+    assert one == pytest.approx(other, rel=1e-3, abs=1e-5)
+    for key, value in launched.items():
+        torch.testing.assert_close(replayed[key], value, rtol=1e-4, atol=1e-6)
+
+
+def test_batches_cross_whole_but_for_observations_of_empty_slots() -> None:
+    batch = frames.make_frames()
+    assert to_learner(batch, CPU) is batch
+    moved = to_learner(batch, OTHER)
+    assert set(moved.keys(True, True)) == set(batch.keys(True, True))
+    for place in ((), ("next",)):
+        mask, seen = batch.get((*place, "agents", "mask")), batch.get((*place, "agents", "observation"))
+        assert torch.equal(moved.get((*place, "agents", "observation")), seen * mask.unsqueeze(-1))
 
 
 def test_a_missing_gpu_is_refused(

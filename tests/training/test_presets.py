@@ -39,3 +39,4 @@ def test_every_preset_learns_from_a_batch(choice: str, tmp_path: Path) -> None:
     losses = {name: float(value) for name, value in row.items() if name.startswith("loss_")}
     assert len(losses) >= 2, "of the policy and of the values"
     assert all(map(math.isfinite, losses.values()))
+    assert 0.0 < float(row["decisions"]) <= 160.0 * float(row["agents"]) + 1e-3, "whatever learns"
