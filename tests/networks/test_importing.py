@@ -195,3 +195,12 @@ def test_an_import_is_whole_or_leaves_no_trace(tmp_path: Path, source: Path) -> 
     with pytest.raises(KeyboardInterrupt):
         import_dataset(source, target, progress=stop)
     assert tree(tmp_path) == before and len(load_dataset(target)) == 1
+
+
+def test_bombs_are_not_read(tmp_path: Path) -> None:
+    good: dict[str, str | bytes] = {"t/1/net.net.xml": NET, "t/1/inflows.txt": "1\n1\n1\n"}
+    large = pack(tmp_path / "b.zip", {**good, "t/2/net.net.xml": b" " * (17 * 1024**2), "t/2/inflows.txt": "1"})
+    assert "larger than 16 MiB" in import_dataset(large, tmp_path / "b").unusable["t/2"]
+    entity = '<!DOCTYPE net [<!ENTITY a "' + "a" * 99 + '">]>' + NET.replace('speed="13.41"', 'speed="&a;"')
+    bomb = pack(tmp_path / "c.zip", {**good, "t/2/net.net.xml": entity, "t/2/inflows.txt": "1\n1\n1\n"})
+    assert "EntitiesForbidden" in import_dataset(bomb, tmp_path / "c").unusable["t/2"]

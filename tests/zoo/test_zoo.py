@@ -262,3 +262,32 @@ def test_a_shipped_policy_drives_as_it_did(name: str) -> None:
     env = zoo.load(shipped).env
     assert grams_per_vehicle(f"zoo:{shipped}", env) == pytest.approx((HELD | BASELINES)[name], rel=1e-3)
     assert name in BASELINES or HELD[name] < grams_per_vehicle("uncommanded", env)
+
+
+@pytest.mark.parametrize(
+    ("state", "message"),
+    [
+        ({"format": "izoo-policy-0"}, "not a policy of this version"),
+        ([1, 2], "not a policy of this version"),
+        ({"format": "izoo-policy-1"}, "hold a policy of algo=;"),
+        ({"format": "izoo-policy-1", "options": {"algo": {"name": "pqo"}}}, "hold a policy of algo=pqo"),
+        ({"format": "izoo-policy-1", "options": {"algo": {"name": "ppo"}}}, "can build: 'action'"),
+    ],
+)
+def test_other_files_are_refused(state: object, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "other.pt"
+    torch.save(state, path)
+    with pytest.raises(IzooError, match=message):
+        zoo.read(path)
+
+
+def test_nothing_in_a_file_is_run(tmp_path: Path) -> None:
+    class Trap:
+        def __reduce__(self) -> tuple[object, tuple[object, ...]]:
+            return (Path.touch, (tmp_path / "ran",))
+
+    path = tmp_path / "trap.pt"
+    torch.save({"format": "izoo-policy-1", "options": Trap()}, path)
+    with pytest.raises(IzooError, match="not a policy"):
+        zoo.read(path)
+    assert not (tmp_path / "ran").exists()
