@@ -199,7 +199,16 @@ def line_writer(values: Sequence[Callable[..., float]], scales: Sequence[float],
     names = {
         f"value_{k}": compiled(value, borrows=True, cache=False, inline="always") for k, value in enumerate(values)
     }
-    lines = [f"    line[{k}] = value_{k}({arguments}) / {scale}" for k, scale in enumerate(scales)]
+    return _writer(arguments, [f"value_{k}({arguments}) / {scale}" for k, scale in enumerate(scales)], names)
+
+
+def field_writer(fields: Sequence[str]) -> Any:
+    """Compile ``write(record, line)``, which writes fields of a record to their places in the line."""
+    return _writer("record", [f"record.{field}" for field in fields], {})
+
+
+def _writer(arguments: str, values: Sequence[str], names: dict[str, Any]) -> Any:
+    lines = [f"    line[{k}] = {value}" for k, value in enumerate(values)]
     exec("\n".join([f"def write({arguments}, line):", *lines, "    return"]), names)
     return compiled(names["write"], borrows=True, cache=False)
 

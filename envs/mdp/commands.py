@@ -6,18 +6,6 @@ import numpy as np
 
 from izoo.compiling import compiled
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, MIN_SHARE
-from izoo.envs.mdp.columns import (
-    APPROACH,
-    CAP,
-    COMMANDED,
-    DEFERRED,
-    EXIT,
-    LOCATION,
-    REGION_LANE,
-    SPEED,
-    TARGET,
-    YIELDING,
-)
 from izoo.envs.mdp.metric_sums import METRIC
 from izoo.networks.road import APPROACHING, INSIDE
 
@@ -39,7 +27,7 @@ def plan_commands(tables, rules, action, defer, sums):  # type: ignore[no-untype
     """Write speed commands from accelerations; the other agents are left to the simulator's own driver.
 
     A CV inside the junction is always left to its driver, because none of SUMO's checks keeps a vehicle that is made to
-    stop there from being hit from the side. So is a CV that its driver slows for a lane change (``YIELDING``). A
+    stop there from being hit from the side. So is a CV that its driver slows for a lane change (``yielding``). A
     command holds until the next one, so a command that repeats the last one, as in a queue, is not sent again.
 
     Args:
@@ -52,38 +40,38 @@ def plan_commands(tables, rules, action, defer, sums):  # type: ignore[no-untype
     Returns:
         How many rows have a new command, and how many are released.
     """
-    floats, ints, flags = tables.floats, tables.ints, tables.flags
     commands, releases = 0, 0
     for a in range(tables.agent_row.shape[0]):
         r = tables.agent_row[a]
         if r < 0:
             continue
-        p = ints[r, APPROACH]
+        vehicle = tables.vehicles[r]
+        p = vehicle.approach
         sums[p, _AGENT_STEPS] += 1
         is_new = tables.acting[a] < 0
         is_nan = not is_new and np.isnan(action[a, 0])
         deferred = is_new or defer[a] != 0
         if is_nan:
             sums[p, _NAN_ACTIONS] += 1
-        inside = ints[r, LOCATION] == INSIDE
+        inside = vehicle.location == INSIDE
         if not deferred and not is_nan:
-            sums[p, _LANE_CHANGE_DEFERRED] += flags[r, YIELDING]
+            sums[p, _LANE_CHANGE_DEFERRED] += vehicle.yielding
             sums[p, _JUNCTION_DEFERRED] += inside
-        if is_nan or deferred or flags[r, YIELDING] or inside:
+        if is_nan or deferred or vehicle.yielding or inside:
             sums[p, _DEFERRED_STEPS] += 1
-            flags[r, DEFERRED] = 1
-            if flags[r, COMMANDED]:
-                flags[r, COMMANDED] = 0
+            vehicle.deferred = 1
+            if vehicle.commanded:
+                vehicle.commanded = 0
                 tables.release[releases] = r
                 releases += 1
         else:
-            flags[r, DEFERRED] = 0
+            vehicle.deferred = 0
             accel = min(max(action[a, 0], ACTION_LOW_MPS2), ACTION_HIGH_MPS2)
-            speed = max(floats[r, SPEED] + accel * rules.step_s, 0.0)
-            if flags[r, COMMANDED] and speed == floats[r, TARGET]:
+            speed = max(vehicle.speed_mps + accel * rules.step_s, 0.0)
+            if vehicle.commanded and speed == vehicle.target_mps:
                 continue
-            flags[r, COMMANDED] = 1
-            floats[r, TARGET] = speed
+            vehicle.commanded = 1
+            vehicle.target_mps = speed
             tables.command[commands] = r
             tables.target_mps[commands] = speed
             commands += 1
@@ -109,41 +97,41 @@ def plan_caps(tables, rules, road, action, defer, sums):  # type: ignore[no-unty
     Returns:
         How many rows have a new command, how many are released, and how many have a new maximum speed.
     """
-    floats, ints, flags = tables.floats, tables.ints, tables.flags
     commands, releases, caps = 0, 0, 0
     for a in range(tables.agent_row.shape[0]):
         r = tables.agent_row[a]
         if r < 0:
             continue
-        p = ints[r, APPROACH]
+        vehicle = tables.vehicles[r]
+        p = vehicle.approach
         sums[p, _AGENT_STEPS] += 1
-        before_line = ints[r, LOCATION] == APPROACHING
+        before_line = vehicle.location == APPROACHING
         share = action[a, 0 if before_line else action.shape[1] - 1]
         is_new = tables.acting[a] < 0
         if not is_new and np.isnan(share):
             sums[p, _NAN_ACTIONS] += 1
         free = is_new or defer[a] != 0 or not share < 1.0
-        flags[r, DEFERRED] = free
-        speed, max_speed, slowing = floats[r, SPEED], TOP_SPEED_MPS, False
+        vehicle.deferred = free
+        speed, max_speed, slowing = vehicle.speed_mps, TOP_SPEED_MPS, False
         if free:
             sums[p, _DEFERRED_STEPS] += 1
         else:
-            limit = road.lane_limit_mps[ints[r, REGION_LANE]] if before_line else rules.exit_limit_mps[ints[r, EXIT]]
+            limit = road.lane_limit_mps[vehicle.region_lane] if before_line else rules.exit_limit_mps[vehicle.exit]
             max_speed = max(share, MIN_SHARE) * limit
             slowing = speed > max_speed
-        if slowing and not flags[r, YIELDING] and ints[r, LOCATION] != INSIDE:
+        if slowing and not vehicle.yielding and vehicle.location != INSIDE:
             slower = max(max_speed, speed - _CAP_BRAKING_MPS2 * rules.step_s)
-            if not (flags[r, COMMANDED] and slower == floats[r, TARGET]):
-                flags[r, COMMANDED] = 1
-                floats[r, TARGET] = slower
+            if not (vehicle.commanded and slower == vehicle.target_mps):
+                vehicle.commanded = 1
+                vehicle.target_mps = slower
                 tables.command[commands], tables.target_mps[commands] = r, slower
                 commands += 1
-        elif flags[r, COMMANDED]:
-            flags[r, COMMANDED] = 0
+        elif vehicle.commanded:
+            vehicle.commanded = 0
             tables.release[releases] = r
             releases += 1
-        if not slowing and max_speed != floats[r, CAP] and not (max_speed == TOP_SPEED_MPS and floats[r, CAP] == 0.0):
-            floats[r, CAP] = max_speed
+        if not slowing and max_speed != vehicle.cap_mps and not (max_speed == TOP_SPEED_MPS and vehicle.cap_mps == 0.0):
+            vehicle.cap_mps = max_speed
             tables.capped[caps], tables.cap_mps[caps] = r, max_speed
             caps += 1
     return commands, releases, caps

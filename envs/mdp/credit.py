@@ -11,16 +11,6 @@ from __future__ import annotations
 import numpy as np
 
 from izoo.compiling import compiled
-from izoo.envs.mdp.columns import (
-    AGENT,
-    APPROACH,
-    DELAY,
-    EMISSION,
-    LEADER,
-    LOCATION,
-    PATH_POSITION,
-    TTC,
-)
 from izoo.envs.mdp.reward_kernel import NUM_TERMS, evaluate
 from izoo.envs.mdp.state import DUE, IDLE_GPS, VEHICLES
 from izoo.networks.road import LEAVING
@@ -66,7 +56,7 @@ def assign_credit(world, rows, terms, own, fleet):  # type: ignore[no-untyped-de
         fleet: ``[T]`` output.
     """
     tables, rules, work = world.tables, world.rules, world.work
-    floats, ints = tables.floats, tables.ints
+    vehicles = tables.vehicles
     own[:, :] = 0.0
     fleet[:] = 0.0
     rearmost, idling, blocked = work.rearmost, work.idling, work.blocked
@@ -74,11 +64,11 @@ def assign_credit(world, rows, terms, own, fleet):  # type: ignore[no-untyped-de
     for p in range(approaches):
         rearmost[p] = -1
     for r in rows:
-        p = ints[r, APPROACH]
-        is_last = rearmost[p] < 0 or floats[r, PATH_POSITION] < floats[rearmost[p], PATH_POSITION]
-        if is_last and ints[r, LOCATION] != LEAVING:
+        p = vehicles[r].approach
+        is_last = rearmost[p] < 0 or vehicles[r].path_position_m < vehicles[rearmost[p]].path_position_m
+        if is_last and vehicles[r].location != LEAVING:
             rearmost[p] = r
-        slot = credited_slot(r, ints, rows.shape[0])
+        slot = credited_slot(r, vehicles, rows.shape[0])
         for c in range(NUM_TERMS):
             fleet[c] += terms[r, c]
             if slot >= 0:
@@ -87,8 +77,8 @@ def assign_credit(world, rows, terms, own, fleet):  # type: ignore[no-untyped-de
         count = blocked[p, VEHICLES]
         if count <= 0.0:
             continue
-        _idling_terms(blocked[p, IDLE_GPS] / count, rules, work.idling_row, idling)
-        slot = credited_slot(rearmost[p], ints, rows.shape[0])
+        _idling_terms(blocked[p, IDLE_GPS] / count, rules, work.idling_vehicle[0], idling)
+        slot = credited_slot(rearmost[p], vehicles, rows.shape[0])
         for c in range(NUM_TERMS):
             fleet[c] += count * idling[c]
             if slot >= 0:
@@ -98,27 +88,27 @@ def assign_credit(world, rows, terms, own, fleet):  # type: ignore[no-untyped-de
 
 
 @compiled(borrows=True)
-def credited_slot(r, ints, most):  # type: ignore[no-untyped-def]
+def credited_slot(r, vehicles, most):  # type: ignore[no-untyped-def]
     """Return the slot of the nearest CV at or ahead of row ``r``, -1 if there is none.
 
     Vehicles behind the stop line are credited only to CVs behind it, and the others only to CVs before it.
     """
     if r < 0:
         return -1
-    leaves = ints[r, LOCATION] == LEAVING
+    leaves = vehicles[r].location == LEAVING
     for _ in range(most):
-        if r < 0 or (ints[r, LOCATION] == LEAVING) != leaves:
+        if r < 0 or (vehicles[r].location == LEAVING) != leaves:
             return -1
-        if ints[r, AGENT] >= 0:
-            return ints[r, AGENT]
-        r = ints[r, LEADER]
+        if vehicles[r].agent >= 0:
+            return vehicles[r].agent
+        r = vehicles[r].leader
     return -1
 
 
 @compiled(borrows=True)
-def _idling_terms(idle_gps, rules, floats, out):  # type: ignore[no-untyped-def]
-    """Write the terms of a vehicle that idles for one step; ``floats [1, *]``: its row."""
-    floats[0, EMISSION] = idle_gps * rules.step_s
-    floats[0, DELAY] = rules.step_s
-    floats[0, TTC] = np.inf
-    evaluate(0, floats, rules.reward, out)
+def _idling_terms(idle_gps, rules, vehicle, out):  # type: ignore[no-untyped-def]
+    """Write the terms of a vehicle that idles for one step; ``vehicle`` is working memory."""
+    vehicle.emission_g = idle_gps * rules.step_s
+    vehicle.delay_s = rules.step_s
+    vehicle.ttc_s = np.inf
+    evaluate(vehicle, rules.reward, out)

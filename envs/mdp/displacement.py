@@ -7,29 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from izoo.compiling import compiled
-from izoo.envs.mdp.columns import (
-    ACCEL,
-    APPROACH,
-    BLINKER_LEFT,
-    BLINKER_RIGHT,
-    DELAY,
-    EXIT,
-    FRESH,
-    GRADE,
-    JUNCTION_M,
-    LANE,
-    LANE_POSITION,
-    LENGTH,
-    LOCATION,
-    MOVEMENT,
-    PATH_POSITION,
-    PREV_ACCEL,
-    REGION_LANE,
-    SPEED,
-    STEADY,
-    STOP_LINE,
-    WRONG_LANE,
-)
 from izoo.networks.road import APPROACHING, INSIDE, LEAVING, RoadNet
 
 ROUTE_LIMIT = 12
@@ -64,48 +41,46 @@ def road_arrays(road: RoadNet) -> RoadArrays:
 
 @compiled(borrows=True)
 def update_motion(rows, reading, vehicles, road, step_s):  # type: ignore[no-untyped-def]
-    """Write the simulator's report of ``rows`` into the tables ``vehicles`` (``floats``, ``ints``, ``flags``).
+    """Write the simulator's report of ``rows`` into their records ``vehicles``.
 
     ``reading`` holds four arrays ``[n]``: region lane, lane position of the front bumper (m), speed (m/s), and signal
     bits (1 right blinker, 2 left blinker). A fresh row already holds its acceleration. Rows whose speed, acceleration
     and grade are exactly those of the last step are marked steady: so is their emission.
     """
     lane, position, speed, signals = reading
-    floats, ints, flags = vehicles.floats, vehicles.ints, vehicles.flags
     for j in range(rows.shape[0]):
-        r, new_lane, s = rows[j], lane[j], position[j]
-        fresh, old_speed, old_grade = flags[r, FRESH], floats[r, SPEED], floats[r, GRADE]
+        vehicle, new_lane, s = vehicles[rows[j]], lane[j], position[j]
+        fresh, old_speed, old_grade = vehicle.fresh, vehicle.speed_mps, vehicle.grade_pct
+        vehicle.prev_accel_mps2 = vehicle.accel_mps2
         if fresh:
-            floats[r, PREV_ACCEL] = floats[r, ACCEL]
-            flags[r, FRESH] = 0
+            vehicle.fresh = 0
         else:
-            floats[r, PREV_ACCEL] = floats[r, ACCEL]
-            floats[r, ACCEL] = (speed[j] - floats[r, SPEED]) / step_s
-        floats[r, SPEED] = speed[j]
-        floats[r, DELAY] = step_s * max(0.0, 1.0 - speed[j] / road.lane_limit_mps[new_lane])
-        floats[r, LANE_POSITION] = s
+            vehicle.accel_mps2 = (speed[j] - vehicle.speed_mps) / step_s
+        vehicle.speed_mps = speed[j]
+        vehicle.delay_s = step_s * max(0.0, 1.0 - speed[j] / road.lane_limit_mps[new_lane])
+        vehicle.lane_position_m = s
         location = road.lane_location[new_lane]
         if location == INSIDE:
-            floats[r, JUNCTION_M] = road.inside_length_m[new_lane]
+            vehicle.junction_m = road.inside_length_m[new_lane]
         path = road.lane_offset_m[new_lane] + s
         if location == LEAVING:
-            path += floats[r, JUNCTION_M]
-            floats[r, STOP_LINE] = s
+            path += vehicle.junction_m
+            vehicle.stop_line_distance_m = s
         elif location == INSIDE:
-            floats[r, STOP_LINE] = 0.0
+            vehicle.stop_line_distance_m = 0.0
         else:
-            floats[r, STOP_LINE] = path
-        floats[r, PATH_POSITION] = path
-        floats[r, GRADE] = mean_grade_pct(new_lane, s, floats[r, LENGTH], ints[r, APPROACH], road)
-        same_motion = speed[j] == old_speed and floats[r, ACCEL] == floats[r, PREV_ACCEL]
-        flags[r, STEADY] = not fresh and same_motion and floats[r, GRADE] == old_grade
-        ints[r, LOCATION] = location
-        ints[r, REGION_LANE] = new_lane
-        ints[r, LANE] = road.lane_index[new_lane]
-        ints[r, MOVEMENT] = road.movement_turn[ints[r, APPROACH], ints[r, EXIT]]
-        flags[r, BLINKER_RIGHT] = signals[j] & 1
-        flags[r, BLINKER_LEFT] = (signals[j] >> 1) & 1
-        flags[r, WRONG_LANE] = location == APPROACHING and road.next_lane[new_lane, ints[r, EXIT]] < 0
+            vehicle.stop_line_distance_m = path
+        vehicle.path_position_m = path
+        vehicle.grade_pct = mean_grade_pct(new_lane, s, vehicle.length_m, vehicle.approach, road)
+        same_motion = speed[j] == old_speed and vehicle.accel_mps2 == vehicle.prev_accel_mps2
+        vehicle.steady = not fresh and same_motion and vehicle.grade_pct == old_grade
+        vehicle.location = location
+        vehicle.region_lane = new_lane
+        vehicle.lane = road.lane_index[new_lane]
+        vehicle.movement = road.movement_turn[vehicle.approach, vehicle.exit]
+        vehicle.blinker_right = signals[j] & 1
+        vehicle.blinker_left = (signals[j] >> 1) & 1
+        vehicle.wrong_lane = location == APPROACHING and road.next_lane[new_lane, vehicle.exit] < 0
 
 
 @compiled(borrows=True, forceinline=True)

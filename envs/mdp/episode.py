@@ -11,17 +11,7 @@ from izoo.contexts.context import ENGINES, Context
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.config import STEP, EnvConfig
 from izoo.envs.mdp.blocked_demand import blocked_s
-from izoo.envs.mdp.columns import (
-    AGENT,
-    APPROACH,
-    EXIT,
-    IS_CV,
-    JUNCTION_M,
-    VEHICLE_FLAGS,
-    VEHICLE_FLOATS,
-    VEHICLE_INTS,
-    YIELDING,
-)
+from izoo.envs.mdp.columns import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.envs.mdp.credit import ENTERED
 from izoo.envs.mdp.displacement import road_arrays
 from izoo.envs.mdp.metric_sums import EPISODE_METRIC, METRIC, MOVEMENTS, OF_COHORT, record_unfinished
@@ -176,14 +166,14 @@ class Episode:
             return self.admit(number, accel_mps2, counted)
         if not counted:
             # It may be in the junction already, or behind it: the length of its way there follows from its exit.
-            approach, leaving = self.tables.ints[row, APPROACH], self.tables.ints[row, EXIT]
+            approach, leaving = self.tables.vehicles["approach"][row], self.tables.vehicles["exit"][row]
             way = (self.road.lane_approach == approach) & (self.road.lane_exit == leaving)
-            self.tables.floats[row, JUNCTION_M] = self.road.inside_length_m[way].max(initial=0.0)
+            self.tables.vehicles["junction_m"][row] = self.road.inside_length_m[way].max(initial=0.0)
         return row
 
     def is_agent(self, row: int) -> bool:
         """Whether the vehicle of a row has an agent slot."""
-        return bool(self.tables.ints[row, AGENT] >= 0)
+        return bool(self.tables.vehicles["agent"][row] >= 0)
 
     def begin(self, reading: Reading, started_s: float, early: Sequence[int]) -> None:
         """Write the first frame, from the positions of the vehicles that entered during the warm-up.
@@ -224,9 +214,9 @@ class Episode:
 
     def count_collision(self, row: int) -> None:
         """Count a collision; ``row`` is that of the rear vehicle."""
-        column = METRIC["collisions_cv" if self.tables.flags[row, IS_CV] else "collisions_hdv"]
+        column = METRIC["collisions_cv" if self.tables.vehicles["is_cv"][row] else "collisions_hdv"]
         if self.steps < self.config.control_steps:
-            self.tables.sums[self.tables.ints[row, APPROACH], column] += 1
+            self.tables.sums[self.tables.vehicles["approach"][row], column] += 1
         self.tables.episode[EPISODE_METRIC["collisions"]] += 1
 
     def write_frame(self, reading: Reading, all_left: Callable[[], bool]) -> np.ndarray:
@@ -249,8 +239,8 @@ class Episode:
         if not self._yielding and not rows:
             return
         if self._yielding:
-            self.tables.flags[:, YIELDING] = 0
-        self.tables.flags[rows, YIELDING] = 1
+            self.tables.vehicles["yielding"] = 0
+        self.tables.vehicles["yielding"][rows] = 1
         self._yielding = len(rows)
 
     def end_step(self, ending: Callable[[], DemandAtHorizon], all_left: Callable[[], bool]) -> None:
@@ -272,7 +262,7 @@ class Episode:
     def _complete_horizon_sums(self, ending: DemandAtHorizon) -> None:
         """Complete the sums that stop at the horizon."""
         tables = self.tables
-        record_unfinished(self.members, tables.floats, tables.ints, tables.flags, tables.sums)
+        record_unfinished(self.members, tables.vehicles, tables.sums)
         for name, numbers in ending._asdict().items():
             self._add_to_sums(name, np.asarray(numbers, np.int64), 1.0)
         self.frame["approach_metrics"][:] = tables.sums
@@ -301,9 +291,8 @@ class Episode:
     def scene(self) -> Scene:
         """Return copies of the present state."""
         tables, rows = self.tables, self.members
-        columns = dict(zip(VEHICLE_FLOATS, tables.floats[rows].T, strict=False))
-        columns |= zip(VEHICLE_INTS, tables.ints[rows].T, strict=False)
-        columns |= zip(VEHICLE_FLAGS, tables.flags[rows].T.astype(bool), strict=False)
+        columns = {name: tables.vehicles[name][rows] for name in (*VEHICLE_FLOATS, *VEHICLE_INTS)}
+        columns |= {name: tables.vehicles[name][rows].astype(bool) for name in VEHICLE_FLAGS}
         return Scene(self.context, self.road, self.time_s, columns, self.clock.now.copy(), tables.sums.copy())
 
     def _write_context(self) -> None:

@@ -13,32 +13,6 @@ from __future__ import annotations
 import numpy as np
 
 from izoo.compiling import compiled
-from izoo.envs.mdp.columns import (
-    ACCEL,
-    AGENT,
-    APPROACH,
-    COHORT,
-    COUNTED,
-    CROSSED,
-    DELAY,
-    EMISSION,
-    ENTRY_M,
-    EXIT,
-    IS_CV,
-    JUNCTION_M,
-    LOCATION,
-    MIN_TTC,
-    MOVEMENT,
-    PATH_POSITION,
-    PREV_ACCEL,
-    SPEED,
-    SUM_ACCEL,
-    SUM_EMISSION,
-    SUM_JERK,
-    SUM_STEPS,
-    SUM_STOPPED,
-    TTC,
-)
 from izoo.envs.mdp.reward import TTC_CAP_S
 from izoo.networks.clock import RED
 from izoo.networks.road import APPROACHING
@@ -158,119 +132,119 @@ _GRIDLOCK = EPISODE_METRIC["gridlock"]
 
 
 @compiled(borrows=True)
-def accumulate_step(rows, floats, ints, flags, colour, legal, step_s, sums):  # type: ignore[no-untyped-def]
+def accumulate_step(rows, vehicles, colour, legal, step_s, sums):  # type: ignore[no-untyped-def]
     """Add the step to every vehicle's sums, and a vehicle's sums to its approach's when it crosses the stop line.
 
     ``colour`` and ``legal`` ``[P, Q]`` are the signal in force during the step.
     """
     for j in range(rows.shape[0]):
-        r = rows[j]
-        p = ints[r, APPROACH]
-        counted = flags[r, COUNTED]
+        vehicle = vehicles[rows[j]]
+        p = vehicle.approach
+        counted = vehicle.counted
         if counted:
-            sums[p, _REGION_EMISSION_G] += floats[r, EMISSION]
+            sums[p, _REGION_EMISSION_G] += vehicle.emission_g
             sums[p, _REGION_TIME_S] += step_s
-        if flags[r, CROSSED]:
+        if vehicle.crossed:
             continue
-        floats[r, SUM_EMISSION] += floats[r, EMISSION]
-        floats[r, SUM_STEPS] += 1
-        floats[r, SUM_STOPPED] += floats[r, SPEED] < STOPPED_MPS
-        floats[r, SUM_ACCEL] += abs(floats[r, ACCEL])
-        floats[r, SUM_JERK] += abs(floats[r, ACCEL] - floats[r, PREV_ACCEL]) / step_s
-        floats[r, MIN_TTC] = min(floats[r, MIN_TTC], floats[r, TTC])
-        if ints[r, LOCATION] == APPROACHING:
+        vehicle.sum_emission_g += vehicle.emission_g
+        vehicle.sum_steps += 1
+        vehicle.sum_stopped_steps += vehicle.speed_mps < STOPPED_MPS
+        vehicle.sum_abs_accel += abs(vehicle.accel_mps2)
+        vehicle.sum_abs_jerk += abs(vehicle.accel_mps2 - vehicle.prev_accel_mps2) / step_s
+        vehicle.min_ttc_s = min(vehicle.min_ttc_s, vehicle.ttc_s)
+        if vehicle.location == APPROACHING:
             continue
-        flags[r, CROSSED] = 1
-        on_red = colour[p, ints[r, EXIT]] == RED and not legal[p, ints[r, EXIT]]
+        vehicle.crossed = 1
+        on_red = colour[p, vehicle.exit] == RED and not legal[p, vehicle.exit]
         if counted:
-            _record_crossing(r, p, floats, flags, step_s, on_red, sums)
+            _record_crossing(vehicle, p, step_s, on_red, sums)
 
 
 @compiled(borrows=True)
-def accumulate_cohort(rows, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
+def accumulate_cohort(rows, vehicles, sums):  # type: ignore[no-untyped-def]
     """Add the cohort's CO2 and delay of the step, which are counted until the episode ends."""
     for j in range(rows.shape[0]):
-        r = rows[j]
-        if flags[r, COHORT]:
-            sums[ints[r, APPROACH], _COHORT_CO2_G] += floats[r, EMISSION]
-            sums[ints[r, APPROACH], _COHORT_DELAY_S] += floats[r, DELAY]
-            sums[ints[r, APPROACH], _MOVEMENT_DELAY_S + ints[r, MOVEMENT]] += floats[r, DELAY]
+        vehicle = vehicles[rows[j]]
+        if vehicle.cohort:
+            sums[vehicle.approach, _COHORT_CO2_G] += vehicle.emission_g
+            sums[vehicle.approach, _COHORT_DELAY_S] += vehicle.delay_s
+            sums[vehicle.approach, _MOVEMENT_DELAY_S + vehicle.movement] += vehicle.delay_s
 
 
 @compiled(borrows=True)
-def count_queues(rows, floats, ints, sums):  # type: ignore[no-untyped-def]
+def count_queues(rows, vehicles, sums):  # type: ignore[no-untyped-def]
     """Count the vehicles that stand before the stop line, by movement."""
     for p in range(sums.shape[0]):
         for m in range(_NUM_MOVEMENTS):
             sums[p, _QUEUE + m] = 0.0
     for j in range(rows.shape[0]):
-        r = rows[j]
-        if ints[r, LOCATION] == APPROACHING and floats[r, SPEED] < STOPPED_MPS:
-            sums[ints[r, APPROACH], _QUEUE + ints[r, MOVEMENT]] += 1
+        vehicle = vehicles[rows[j]]
+        if vehicle.location == APPROACHING and vehicle.speed_mps < STOPPED_MPS:
+            sums[vehicle.approach, _QUEUE + vehicle.movement] += 1
     for p in range(sums.shape[0]):
         for m in range(_NUM_MOVEMENTS):
             sums[p, _QUEUE_MAX + m] = max(sums[p, _QUEUE_MAX + m], sums[p, _QUEUE + m])
 
 
 @compiled(borrows=True)
-def _record_crossing(r, p, floats, flags, step_s, on_red, sums):  # type: ignore[no-untyped-def]
+def _record_crossing(vehicle, p, step_s, on_red, sums):  # type: ignore[no-untyped-def]
     sums[p, _CROSSED] += 1
-    sums[p, _EMISSION_G] += floats[r, SUM_EMISSION]
-    sums[p, _VEHICLE_STEPS] += floats[r, SUM_STEPS]
-    sums[p, _TRAVEL_TIME_S] += floats[r, SUM_STEPS] * step_s
-    sums[p, _DISTANCE_M] += floats[r, PATH_POSITION] - floats[r, ENTRY_M]
-    sums[p, _STOPPED_TIME_S] += floats[r, SUM_STOPPED] * step_s
-    sums[p, _ABS_ACCEL] += floats[r, SUM_ACCEL]
-    sums[p, _ABS_JERK] += floats[r, SUM_JERK]
-    if floats[r, MIN_TTC] < np.inf:
-        sums[p, _MIN_TTC_SUM_S] += min(floats[r, MIN_TTC], TTC_CAP_S)
+    sums[p, _EMISSION_G] += vehicle.sum_emission_g
+    sums[p, _VEHICLE_STEPS] += vehicle.sum_steps
+    sums[p, _TRAVEL_TIME_S] += vehicle.sum_steps * step_s
+    sums[p, _DISTANCE_M] += vehicle.path_position_m - vehicle.entry_m
+    sums[p, _STOPPED_TIME_S] += vehicle.sum_stopped_steps * step_s
+    sums[p, _ABS_ACCEL] += vehicle.sum_abs_accel
+    sums[p, _ABS_JERK] += vehicle.sum_abs_jerk
+    if vehicle.min_ttc_s < np.inf:
+        sums[p, _MIN_TTC_SUM_S] += min(vehicle.min_ttc_s, TTC_CAP_S)
         sums[p, _MIN_TTC_VEHICLES] += 1
-    if flags[r, IS_CV]:
+    if vehicle.is_cv:
         sums[p, _RED_CROSSINGS_CV] += on_red
     else:
         sums[p, _RED_CROSSINGS_HDV] += on_red
         sums[p, _CROSSED_HDV] += 1
-        sums[p, _EMISSION_HDV_G] += floats[r, SUM_EMISSION]
+        sums[p, _EMISSION_HDV_G] += vehicle.sum_emission_g
 
 
 @compiled(borrows=True)
-def record_entry(r, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
-    """Reset the sums of a vehicle that has just been given row ``r``, and count its entry."""
-    floats[r, SUM_EMISSION] = 0.0
-    floats[r, SUM_STEPS] = 0.0
-    floats[r, SUM_STOPPED] = 0.0
-    floats[r, SUM_ACCEL] = 0.0
-    floats[r, SUM_JERK] = 0.0
-    floats[r, JUNCTION_M] = 0.0
-    floats[r, MIN_TTC] = np.inf
-    if flags[r, COUNTED]:
-        sums[ints[r, APPROACH], _ENTERED] += 1
+def record_entry(vehicle, sums):  # type: ignore[no-untyped-def]
+    """Reset the sums of a vehicle that has just been given its row, and count its entry."""
+    vehicle.sum_emission_g = 0.0
+    vehicle.sum_steps = 0.0
+    vehicle.sum_stopped_steps = 0.0
+    vehicle.sum_abs_accel = 0.0
+    vehicle.sum_abs_jerk = 0.0
+    vehicle.junction_m = 0.0
+    vehicle.min_ttc_s = np.inf
+    if vehicle.counted:
+        sums[vehicle.approach, _ENTERED] += 1
 
 
 @compiled(borrows=True)
-def record_unfinished(rows, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
+def record_unfinished(rows, vehicles, sums):  # type: ignore[no-untyped-def]
     """Add the counted vehicles that have not crossed by the horizon."""
     for j in range(rows.shape[0]):
-        r = rows[j]
-        if flags[r, COUNTED] and not flags[r, CROSSED]:
-            sums[ints[r, APPROACH], _UNFINISHED] += 1
-            sums[ints[r, APPROACH], _UNFINISHED_EMISSION_G] += floats[r, SUM_EMISSION]
+        vehicle = vehicles[rows[j]]
+        if vehicle.counted and not vehicle.crossed:
+            sums[vehicle.approach, _UNFINISHED] += 1
+            sums[vehicle.approach, _UNFINISHED_EMISSION_G] += vehicle.sum_emission_g
 
 
 @compiled(borrows=True)
 def accumulate_episode(rows, tables, reward, step_s, sums):  # type: ignore[no-untyped-def]
     """Add the step to the episode's sums ``tables.episode``, and CVs without a slot to those of their approach."""
-    floats, ints, episode = tables.floats, tables.ints, tables.episode
+    episode = tables.episode
     agents, total, fastest = 0, 0.0, 0.0
     for a in range(tables.acting.shape[0]):
         if tables.acting[a] >= 0:
             agents += 1
             total += reward[a]
     for j in range(rows.shape[0]):
-        r = rows[j]
-        fastest = max(fastest, floats[r, SPEED])
-        if tables.flags[r, IS_CV] and ints[r, AGENT] < 0:
-            sums[ints[r, APPROACH], _UNSLOTTED_STEPS] += 1
+        vehicle = tables.vehicles[rows[j]]
+        fastest = max(fastest, vehicle.speed_mps)
+        if vehicle.is_cv and vehicle.agent < 0:
+            sums[vehicle.approach, _UNSLOTTED_STEPS] += 1
     episode[_STEPS] += 1
     episode[_REWARD_SUM] += total
     episode[_EPISODE_AGENT_STEPS] += agents

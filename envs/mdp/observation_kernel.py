@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from izoo.compiling import compiled, line_writer
-from izoo.envs.mdp.columns import APPROACH, EXIT, LANE_POSITION, LENGTH, PLACE, REGION_LANE
 from izoo.envs.mdp.neighbours import find_follower, find_leader, first_at_or_beyond
 from izoo.envs.mdp.observation import EGO_COLUMNS, FAR_M, NEIGHBOUR_COLUMNS, Column
 
@@ -17,16 +16,16 @@ def _writer(columns: Sequence[Column], arguments: str) -> Any:
     return line_writer([column.value for column in columns], [column.scale for column in columns], arguments)
 
 
-_write_ego = _writer(EGO_COLUMNS, "r, vehicles, road, clock")
-_write_neighbour = _writer(NEIGHBOUR_COLUMNS, "other, gap_m, lane_exists, vehicles")
+_write_ego = _writer(EGO_COLUMNS, "vehicle, road, clock")
+_write_neighbour = _writer(NEIGHBOUR_COLUMNS, "other, present, gap_m, lane_exists")
 
 
 @compiled(borrows=True)
-def write_observations(agent_row, written, vehicles, road, clock, sensors, out):  # type: ignore[no-untyped-def]
+def write_observations(agent_row, written, tables, road, clock, sensors, out):  # type: ignore[no-untyped-def]
     """Write the observation ``out [A, F]`` of every agent slot; empty slots (row -1) become zero.
 
     Args:
-        agent_row: ``[A]`` rows of the tables ``vehicles`` (``floats``, ``ints``, ``flags``, ``order``, ``lane_start``).
+        agent_row: ``[A]`` rows of ``tables.vehicles``.
         written: ``[A]`` whether a slot's line may be non-zero; lines that are zero are not cleared again.
         road, clock: arrays of the road, and the state of the signals.
         sensors: ``features [P, Q, O]``, observed context features of each movement, scaled; ``columns [6]`` from
@@ -44,50 +43,48 @@ def write_observations(agent_row, written, vehicles, road, clock, sensors, out):
         written[a] = r >= 0
         if r < 0:
             continue
-        _write_ego(r, vehicles, road, clock, line)
-        p, q = vehicles.ints[r, APPROACH], vehicles.ints[r, EXIT]
+        vehicle = tables.vehicles[r]
+        _write_ego(vehicle, road, clock, line)
+        p, q = vehicle.approach, vehicle.exit
         for side in range(3):
             if columns[2 * side] >= 0 or columns[2 * side + 1] >= 0:
-                _write_neighbours(side, r, vehicles, road, sensors, line)
+                _write_neighbours(side, r, tables, road, sensors, line)
         for j in range(features.shape[2]):
             line[first_feature + j] = features[p, q, j]
 
 
 @compiled(borrows=True, forceinline=True)
-def _write_neighbours(side, r, vehicles, road, sensors, line):  # type: ignore[no-untyped-def]
+def _write_neighbours(side, r, tables, road, sensors, line):  # type: ignore[no-untyped-def]
     """Write leader and follower of vehicle ``r`` on a side (0 its own lane, 1 left, 2 right)."""
-    floats, ints, columns = vehicles.floats, vehicles.ints, sensors.columns
-    lane, position, ahead = _neighbour_lane(side, r, vehicles, road)
+    vehicles, columns = tables.vehicles, sensors.columns
+    lane, position, ahead = _neighbour_lane(side, r, tables, road)
     for back in range(2):
         column = columns[2 * side + back]
         if column < 0:
             continue
         other, gap = -1, FAR_M
         if lane >= 0 and back == 0:
-            other, gap = find_leader(lane, position, ahead, ints[r, EXIT], r, vehicles, road)
+            other, gap = find_leader(lane, position, ahead, vehicles[r].exit, r, tables, road)
         elif lane >= 0:
             last = ahead - 2 if side == 0 else ahead - 1
-            approach = ints[r, APPROACH]
-            other, gap = find_follower(lane, position, last, floats[r, LENGTH], approach, r, vehicles, road)
+            approach = vehicles[r].approach
+            other, gap = find_follower(lane, position, last, vehicles[r].length_m, approach, r, tables, road)
         if other < 0 or gap > sensors.sensor_range_m:
             other, gap = -1, FAR_M
-        _write_neighbour(other, gap, lane >= 0, vehicles, line[column : column + NUM_SEEN])
+        seen = line[column : column + NUM_SEEN]
+        _write_neighbour(vehicles[max(other, 0)], other >= 0, gap, lane >= 0, seen)
 
 
 @compiled(borrows=True, forceinline=True)
-def _neighbour_lane(side, r, vehicles, road):  # type: ignore[no-untyped-def]
+def _neighbour_lane(side, r, tables, road):  # type: ignore[no-untyped-def]
     """Return the lane on a side of vehicle ``r`` (0 its own, 1 left, 2 right), the position of ``r`` on it, and the
     index in ``order`` of the first vehicle ahead."""
-    lane, position = vehicles.ints[r, REGION_LANE], vehicles.floats[r, LANE_POSITION]
+    lane, position = tables.vehicles[r].region_lane, tables.vehicles[r].lane_position_m
     if side == 0:
-        return lane, position, vehicles.ints[r, PLACE] + 1
+        return lane, position, tables.vehicles[r].place + 1
     seen_lane = road.lane_left[lane] if side == 1 else road.lane_right[lane]
     if seen_lane < 0:
         return seen_lane, position, 0
     # Lanes of one edge end together, so positions on them compare from the end.
     position += road.lane_length[seen_lane] - road.lane_length[lane]
-    return (
-        seen_lane,
-        position,
-        first_at_or_beyond(seen_lane, position, vehicles),
-    )
+    return seen_lane, position, first_at_or_beyond(seen_lane, position, tables)

@@ -28,15 +28,15 @@ def reward_arrays(config: RewardConfig) -> tuple[Numbers, np.ndarray, np.ndarray
 
 def _evaluator(terms: Iterable[RewardTerm]) -> Any:
     values = [term.value for term in terms]
-    return line_writer(values, [1.0] * len(values), "r, floats, numbers")
+    return line_writer(values, [1.0] * len(values), "vehicle, numbers")
 
 
 evaluate, _evaluate_shared = _evaluator(INDIVIDUAL.values()), _evaluator(SHARED.values())
-"""``evaluate(r, floats, numbers, out)`` writes the individual terms of the vehicle in row ``r``."""
+"""``evaluate(vehicle, numbers, out)`` writes the individual terms of a vehicle."""
 
 
 @compiled(borrows=True)
-def evaluate_terms(rows, floats, numbers, terms, fleet, shared, own_shared):  # type: ignore[no-untyped-def]
+def evaluate_terms(rows, vehicles, numbers, terms, fleet, shared, own_shared):  # type: ignore[no-untyped-def]
     """Evaluate all terms for the vehicles of ``rows``.
 
     In an empty region the fleet means are 0, and shared terms have their upper bounds.
@@ -53,8 +53,8 @@ def evaluate_terms(rows, floats, numbers, terms, fleet, shared, own_shared):  # 
     n = rows.shape[0]
     for j in range(n):
         r = rows[j]
-        evaluate(r, floats, numbers, terms[r])
-        _evaluate_shared(r, floats, numbers, own_shared)
+        evaluate(vehicles[r], numbers, terms[r])
+        _evaluate_shared(vehicles[r], numbers, own_shared)
         for c in range(NUM_TERMS):
             fleet[c] += terms[r, c]
         for s in range(NUM_SHARED):

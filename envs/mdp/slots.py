@@ -8,23 +8,6 @@ vehicle in a leaver's place; the lowest free number is used first.
 from __future__ import annotations
 
 from izoo.compiling import compiled
-from izoo.envs.mdp.columns import (
-    ACCEL,
-    AGENT,
-    APPROACH,
-    COHORT,
-    COUNTED,
-    ELECTRIC,
-    ENTRY_M,
-    EXIT,
-    FRESH,
-    IS_CV,
-    LEADER,
-    LENGTH,
-    MOVES_CLASS,
-    NUMBER,
-    PRESENT,
-)
 from izoo.envs.mdp.credit import BLOCKED, ENTERED
 from izoo.envs.mdp.metric_sums import EPISODE_METRIC, METRIC, record_entry
 from izoo.envs.mdp.state import FREE, FREED, IDLE_GPS, LEAVERS, MEMBERS, VEHICLES, sums_to_horizon
@@ -47,24 +30,24 @@ def admit(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
         counted: whether it entered after the warm-up.
     """
     tables, demand = world.tables, world.demand
-    floats, ints, flags = tables.floats, tables.ints, tables.flags
-    row, capacity = 0, flags.shape[0]
-    while row < capacity and flags[row, PRESENT]:
+    vehicles = tables.vehicles
+    row, capacity = 0, vehicles.shape[0]
+    while row < capacity and vehicles[row].present:
         row += 1
     if row == capacity:
         return -1
-    flags[row, :] = 0
-    floats[row, :] = 0.0
+    vehicle = vehicles[row]
     is_cv, approach = demand.is_cv[number], demand.approach[number]
-    flags[row, PRESENT], flags[row, FRESH] = 1, 1
-    flags[row, IS_CV], flags[row, COUNTED], flags[row, COHORT] = is_cv, counted, demand.cohort[number]
-    flags[row, ELECTRIC] = is_cv and world.rules.electric
-    floats[row, LENGTH], floats[row, ACCEL] = demand.length_m[number], accel_mps2
-    floats[row, ENTRY_M] = -world.road.lane_length_m[approach]
-    ints[row, NUMBER], ints[row, MOVES_CLASS] = number, demand.moves_class[number]
-    ints[row, APPROACH], ints[row, EXIT] = approach, demand.exit[number]
-    ints[row, AGENT] = -1
-    ints[row, LEADER] = -1
+    vehicle.present, vehicle.fresh = 1, 1
+    vehicle.is_cv, vehicle.counted, vehicle.cohort = is_cv, counted, demand.cohort[number]
+    vehicle.electric = is_cv and world.rules.electric
+    vehicle.length_m, vehicle.accel_mps2 = demand.length_m[number], accel_mps2
+    vehicle.entry_m = -world.road.lane_length_m[approach]
+    vehicle.vehicle_number, vehicle.moves_class = number, demand.moves_class[number]
+    vehicle.approach, vehicle.exit = approach, demand.exit[number]
+    vehicle.agent = vehicle.leader = -1
+    vehicle.deferred = vehicle.crossed = vehicle.commanded = vehicle.yielding = 0
+    vehicle.target_mps = vehicle.cap_mps = 0.0
     if demand.status[number] == BLOCKED:
         demand.blocked[approach, VEHICLES] -= 1.0
         demand.blocked[approach, IDLE_GPS] -= demand.idle_gps[number]
@@ -72,7 +55,7 @@ def admit(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
     demand.arrival_step[number] = int(tables.episode[_STEPS])
     tables.members[tables.cursor[MEMBERS]] = row
     tables.cursor[MEMBERS] += 1
-    record_entry(row, floats, ints, flags, sums_to_horizon(world))
+    record_entry(vehicle, sums_to_horizon(world))
     if is_cv:
         _assign_slot(row, tables, world.rules.num_vehicles)
     return row
@@ -83,7 +66,7 @@ def _assign_slot(row, tables, num_vehicles):  # type: ignore[no-untyped-def]
     if row < num_vehicles:
         for slot in range(tables.agent_row.shape[0]):
             if tables.agent_row[slot] == FREE:
-                tables.agent_row[slot], tables.ints[row, AGENT] = row, slot
+                tables.agent_row[slot], tables.vehicles[row].agent = row, slot
                 tables.stage[slot] = 0
                 return
     tables.episode[_UNSLOTTED] += 1
@@ -102,7 +85,7 @@ def release(world, row):  # type: ignore[no-untyped-def]
     tables.cursor[MEMBERS] = kept
     tables.leavers[tables.cursor[LEAVERS]] = row
     tables.cursor[LEAVERS] += 1
-    tables.sums[tables.ints[row, APPROACH], _COHORT_LEFT] += tables.flags[row, COHORT]
+    tables.sums[tables.vehicles[row].approach, _COHORT_LEFT] += tables.vehicles[row].cohort
 
 
 @compiled
@@ -129,8 +112,8 @@ def free_slots(tables, terminated, done, begins):  # type: ignore[no-untyped-def
             done[slot] = 0
     for j in range(tables.cursor[LEAVERS]):
         row = tables.leavers[j]
-        slot = tables.ints[row, AGENT]
-        tables.flags[row, :] = 0
+        slot = tables.vehicles[row].agent
+        tables.vehicles[row].present = 0
         if slot >= 0:
             tables.agent_row[slot] = FREED
             terminated[slot] = 1

@@ -18,7 +18,7 @@ from izoo.contexts.context import Context
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.config import SCOPES, SPEED, STEP, EnvConfig
 from izoo.envs.mdp.blocked_demand import NEVER, cohort_of, earliest_arrivals, idle_rates
-from izoo.envs.mdp.columns import FLAGS, FLOATS, INTS
+from izoo.envs.mdp.columns import Vehicle
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
 from izoo.envs.mdp.observation import neighbour_columns, observed_table
 from izoo.envs.mdp.reward_kernel import NUM_SHARED, NUM_TERMS, Numbers, reward_arrays
@@ -44,7 +44,7 @@ class Tables(NamedTuple):
     """The tables of one environment, with room for ``C`` vehicles and ``A`` agents on ``L`` lanes.
 
     Attributes:
-        floats, ints, flags: ``[C, *]``, a row per vehicle (:mod:`izoo.envs.mdp.columns`).
+        vehicles: ``[C]``, a record per vehicle (:mod:`izoo.envs.mdp.columns`).
         terms: ``[C, T]`` individual reward terms; a leaver's are used once more.
         sums, episode: ``[P, M]`` and ``[E]`` metrics.
         agent_row: ``[A]`` row behind each agent slot, below 0 where it is empty (:data:`FREE`, :data:`FREED`).
@@ -63,9 +63,7 @@ class Tables(NamedTuple):
         cursor: ``[5]`` see :data:`MEMBERS`.
     """
 
-    floats: np.ndarray
-    ints: np.ndarray
-    flags: np.ndarray
+    vehicles: np.ndarray
     terms: np.ndarray
     sums: np.ndarray
     episode: np.ndarray
@@ -87,7 +85,7 @@ class Tables(NamedTuple):
     cursor: np.ndarray
 
 
-PER_ROW = ("floats", "ints", "flags", "terms", "members", "leavers", "wrong_lane_agents", "order")
+PER_ROW = ("vehicles", "terms", "members", "leavers", "wrong_lane_agents", "order")
 """Tables with an entry per row."""
 
 
@@ -95,9 +93,7 @@ def empty_tables(config: EnvConfig, num_lanes: int, capacity: int = 0) -> Tables
     """Return tables without vehicles, with ``capacity`` rows or more."""
     c, a = max(MIN_CAPACITY, config.num_vehicles, capacity), config.num_agents
     return Tables(
-        floats=np.zeros((c, len(FLOATS))),
-        ints=np.zeros((c, len(INTS)), np.int64),
-        flags=np.zeros((c, len(FLAGS)), np.uint8),
+        vehicles=np.zeros(c, Vehicle),
         terms=np.zeros((c, NUM_TERMS)),
         sums=np.zeros((config.num_approaches, len(APPROACH_METRICS))),
         episode=np.zeros(len(EPISODE_METRICS)),
@@ -131,7 +127,7 @@ class Work(NamedTuple):
 
     Attributes:
         lane_fill: ``[L]``. own: ``[A, T]``. fleet, idling: ``[T]``. shared, own_shared: ``[S]``. step_reward: ``[A]``.
-        rearmost: ``[P]``. blocked: ``[P, 2]``. idling_row: ``[1, *]``, a row like those of ``floats``.
+        rearmost: ``[P]``. blocked: ``[P, 2]``. idling_vehicle: ``[1]``, a record.
         past_horizon: ``[P, M]``, receives the sums of the steps after the horizon, which are discarded.
         written: ``[A]`` uint8, whether the slot's row of the frame's observation may be non-zero.
     """
@@ -146,7 +142,7 @@ class Work(NamedTuple):
     rearmost: np.ndarray
     blocked: np.ndarray
     past_horizon: np.ndarray
-    idling_row: np.ndarray
+    idling_vehicle: np.ndarray
     written: np.ndarray
 
 
@@ -164,7 +160,7 @@ def working_memory(config: EnvConfig, num_lanes: int) -> Work:
         rearmost=np.zeros(config.num_approaches, np.int64),
         blocked=np.zeros((config.num_approaches, 2)),
         past_horizon=np.zeros((config.num_approaches, len(APPROACH_METRICS))),
-        idling_row=np.zeros((1, len(FLOATS))),
+        idling_vehicle=np.zeros(1, Vehicle),
         written=np.ones(a, np.uint8),
     )
 

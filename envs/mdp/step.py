@@ -9,22 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from izoo.compiling import compiled
+from izoo.compiling import compiled, field_writer
 from izoo.emissions.kernel import emission_rate
-from izoo.envs.mdp.columns import (
-    ACCEL,
-    AGENT,
-    ELECTRIC,
-    EMISSION,
-    GRADE,
-    LOCATION,
-    MOVES_CLASS,
-    NUMBER,
-    PRESENT,
-    SPEED,
-    STEADY,
-    WRONG_LANE,
-)
+from izoo.envs.mdp.columns import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.envs.mdp.commands import plan_caps, plan_commands
 from izoo.envs.mdp.credit import assign_credit, count_blocked
 from izoo.envs.mdp.displacement import update_motion
@@ -90,7 +77,7 @@ def _store_decisions(tables, frame):  # type: ignore[no-untyped-def]
             for d in range(frame.action.shape[1]):
                 tables.decision[a, d] = frame.action[a, d]
             tables.deferred[a] = frame.defer[a]
-            tables.stage[a] = 1 if tables.ints[r, LOCATION] == APPROACHING else 2
+            tables.stage[a] = 1 if tables.vehicles[r].location == APPROACHING else 2
 
 
 @compiled(borrows=True)
@@ -99,7 +86,7 @@ def _must_decide(tables, rules, a):  # type: ignore[no-untyped-def]
     r = tables.agent_row[a]
     if r < 0 or tables.stage[a] == 0:
         return r >= 0
-    return rules.scope == ONCE_AND_BEHIND and tables.stage[a] == 1 and tables.ints[r, LOCATION] != APPROACHING
+    return rules.scope == ONCE_AND_BEHIND and tables.stage[a] == 1 and tables.vehicles[r].location != APPROACHING
 
 
 @compiled(borrows=True)
@@ -126,8 +113,8 @@ def update_vehicles(world, reading):  # type: ignore[no-untyped-def]
     """
     tables, road = world.tables, world.road
     rows = tables.members[: tables.cursor[MEMBERS]]
-    update_motion(rows, reading, tables, road, world.rules.step_s)
-    sort_lanes(rows, tables.floats, tables.ints, world.work.lane_fill, tables.order, tables.lane_start)
+    update_motion(rows, reading, tables.vehicles, road, world.rules.step_s)
+    sort_lanes(rows, tables, world.work.lane_fill)
     find_leaders(rows, tables, road)
 
 
@@ -135,23 +122,22 @@ def update_vehicles(world, reading):  # type: ignore[no-untyped-def]
 def compute_emissions(world):  # type: ignore[no-untyped-def]
     """Write each vehicle's CO2 of the step in g, unless it is that of the step before; electric CVs emit nothing."""
     tables, rules = world.tables, world.rules
-    floats = tables.floats
     for j in range(tables.cursor[MEMBERS]):
-        r = tables.members[j]
-        if tables.flags[r, STEADY]:
+        vehicle = tables.vehicles[tables.members[j]]
+        if vehicle.steady:
             continue
-        floats[r, EMISSION] = 0.0
-        if not tables.flags[r, ELECTRIC]:
+        vehicle.emission_g = 0.0
+        if not vehicle.electric:
             rate = emission_rate(
-                np.float32(floats[r, SPEED]),
-                np.float32(floats[r, ACCEL]),
-                np.float32(floats[r, GRADE]),
-                tables.ints[r, MOVES_CLASS],
+                np.float32(vehicle.speed_mps),
+                np.float32(vehicle.accel_mps2),
+                np.float32(vehicle.grade_pct),
+                vehicle.moves_class,
                 np.float32(rules.temperature_c),
                 np.float32(rules.humidity_pct),
                 world.surrogate,
             )
-            floats[r, EMISSION] = rate * rules.step_s
+            vehicle.emission_g = rate * rules.step_s
 
 
 @compiled(borrows=True)
@@ -170,18 +156,18 @@ def finish_step(world, time_s, measured, empty):  # type: ignore[no-untyped-def]
     """
     tables, work, clock, rules, out = world.tables, world.work, world.clock, world.rules, world.frame
     rows = tables.members[: tables.cursor[MEMBERS]]
-    floats, ints, flags = tables.floats, tables.ints, tables.flags
+    vehicles = tables.vehicles
     sums = sums_to_horizon(world)
     if measured:
         phase = phase_of_step(time_s, clock)
         colour, legal = clock.colour[:, :, phase], clock.legal_on_red[:, :, phase]
-        accumulate_step(rows, floats, ints, flags, colour, legal, rules.step_s, sums)
-        accumulate_cohort(rows, floats, ints, flags, tables.sums)
-        count_queues(rows, floats, ints, sums)
+        accumulate_step(rows, vehicles, colour, legal, rules.step_s, sums)
+        accumulate_cohort(rows, vehicles, tables.sums)
+        count_queues(rows, vehicles, sums)
     read_clock(time_s, clock)
     begins = tables.cursor[DECISION_STEPS] == 0
     fleet, shared, own = work.fleet, work.shared, work.own
-    evaluate_terms(rows, floats, rules.reward, tables.terms, fleet, shared, work.own_shared)
+    evaluate_terms(rows, vehicles, rules.reward, tables.terms, fleet, shared, work.own_shared)
     if rules.reward.sums:
         count_blocked(world, time_s)
         assign_credit(world, rows, tables.terms, own, fleet)
@@ -231,7 +217,7 @@ def _list_wrong_lane_agents(rows, tables):  # type: ignore[no-untyped-def]
     """List the agents on a lane that does not lead to their exit: the simulator may slow them for a lane change."""
     count = 0
     for r in rows:
-        if tables.flags[r, WRONG_LANE] and tables.ints[r, AGENT] >= 0:
+        if tables.vehicles[r].wrong_lane and tables.vehicles[r].agent >= 0:
             tables.wrong_lane_agents[count] = r
             count += 1
     tables.cursor[WRONG_LANE_AGENTS] = count
@@ -247,12 +233,12 @@ def _emit(world):  # type: ignore[no-untyped-def]
     if rules.emit_number:
         for a in range(tables.agent_row.shape[0]):
             row = tables.agent_row[a]
-            out.number[a] = tables.ints[row, NUMBER] if row >= 0 else -1
+            out.number[a] = tables.vehicles[row].vehicle_number if row >= 0 else -1
     if rules.scope != EVERY_STEP:
         for a in range(tables.agent_row.shape[0]):
             out.decides[a] = _must_decide(tables, rules, a)
     if rules.emit_vehicles:
-        emit_vehicles(tables.floats, tables.ints, tables.flags, out.vehicle_floats, out.vehicle_ints, out.vehicle_flags)
+        _emit_vehicles(tables.vehicles, out)
     if rules.emit_signal:
         _copy_into(out.signal_colour, clock.now)
         _copy_into(out.signal_time_left_s, clock.time_left_s)
@@ -262,21 +248,22 @@ def _emit(world):  # type: ignore[no-untyped-def]
         _copy_into(out.approach_metrics, tables.sums)
 
 
+_write_floats, _write_ints, _write_flags = map(field_writer, (VEHICLE_FLOATS, VEHICLE_INTS, VEHICLE_FLAGS))
+
+
 @compiled(borrows=True)
-def emit_vehicles(floats, ints, flags, floats_out, ints_out, flags_out):  # type: ignore[no-untyped-def]
-    """Copy the emitted columns of the first ``V`` rows; rows without a vehicle are zero."""
-    for v in range(floats_out.shape[0]):
-        if v < flags.shape[0] and flags[v, PRESENT]:
-            for c in range(floats_out.shape[1]):
-                floats_out[v, c] = floats[v, c]
-            for c in range(ints_out.shape[1]):
-                ints_out[v, c] = ints[v, c]
-            for c in range(flags_out.shape[1]):
-                flags_out[v, c] = flags[v, c]
+def _emit_vehicles(vehicles, out):  # type: ignore[no-untyped-def]
+    """Copy the emitted fields of the first ``V`` rows; rows without a vehicle are zero."""
+    for v in range(out.vehicle_floats.shape[0]):
+        floats, ints, flags = out.vehicle_floats[v], out.vehicle_ints[v], out.vehicle_flags[v]
+        if v < vehicles.shape[0] and vehicles[v].present:
+            _write_floats(vehicles[v], floats)
+            _write_ints(vehicles[v], ints)
+            _write_flags(vehicles[v], flags)
         else:
-            floats_out[v, :] = 0.0
-            ints_out[v, :] = 0
-            flags_out[v, :] = 0
+            floats[:] = 0.0
+            ints[:] = 0
+            flags[:] = 0
 
 
 @compiled(borrows=True)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from izoo.envs.mdp.columns import APPROACH, EXIT, FLAGS, FLOATS, INTS, LENGTH, PRESENT
+from izoo.envs.mdp.columns import Vehicle
 from izoo.envs.mdp.displacement import road_arrays, update_motion
 from izoo.envs.mdp.neighbours import find_leaders, sort_lanes
 from izoo.envs.mdp.observation import EGO_FEATURES, NEIGHBOUR_FEATURES, NEIGHBOURS, neighbour_columns
@@ -18,12 +18,10 @@ STEP_S = 0.5
 RIGHT_BLINKER, LEFT_BLINKER = 1, 2
 
 
-class Vehicles(NamedTuple):
+class Tables(NamedTuple):
     """The tables that observations are made from."""
 
-    floats: np.ndarray
-    ints: np.ndarray
-    flags: np.ndarray
+    vehicles: np.ndarray
     order: np.ndarray
     lane_start: np.ndarray
 
@@ -41,11 +39,9 @@ class Scene:
 
     def __init__(self, road: RoadNet, capacity: int = 12) -> None:
         self.road, self.lanes = road, road_arrays(road)
-        self.floats = np.zeros((capacity, len(FLOATS)))
-        self.ints = np.zeros((capacity, len(INTS)), np.int64)
-        self.flags = np.zeros((capacity, len(FLAGS)), np.uint8)
-        self.order = np.zeros(capacity, np.int64)
-        self.start = np.zeros(len(road.lane_ids) + 1, np.int64)
+        self.vehicles = np.zeros(capacity, Vehicle)
+        starts = np.zeros(len(road.lane_ids) + 1, np.int64)
+        self.tables = Tables(self.vehicles, np.zeros(capacity, np.int64), starts)
         self.rows: list[int] = []
         self.reading: list[tuple[int, float, float, int]] = []
 
@@ -61,10 +57,10 @@ class Scene:
     ) -> int:
         """Place a vehicle on its way between two legs with its front bumper at ``position``; return its row."""
         row = len(self.rows) if row is None else row
-        self.flags[row, PRESENT] = 1
-        self.floats[row, LENGTH] = length
-        self.ints[row, APPROACH] = self.road.approaches.index(way[0])
-        self.ints[row, EXIT] = self.road.exits.index(way[1])
+        self.vehicles["present"][row] = 1
+        self.vehicles["length_m"][row] = length
+        self.vehicles["approach"][row] = self.road.approaches.index(way[0])
+        self.vehicles["exit"][row] = self.road.exits.index(way[1])
         self.rows.append(row)
         self.reading.append((self.road.lane_ids.index(lane), position, speed, signals))
         return row
@@ -74,17 +70,15 @@ class Scene:
         signals = self.reading[self.rows.index(row)][3]
         self.reading[self.rows.index(row)] = (self.road.lane_ids.index(lane), position, speed, signals)
 
-    def vehicles(self) -> Vehicles:
-        return Vehicles(self.floats, self.ints, self.flags, self.order, self.start)
-
     def read(self) -> None:
         """Place, sort and find leaders, as in every step."""
         rows = np.array(self.rows, np.int64)
         lane, position, speed, signals = (np.array(column) for column in zip(*self.reading, strict=True))
-        vehicles = self.vehicles()
-        update_motion(rows, (lane, position.astype(float), speed.astype(float), signals), vehicles, self.lanes, STEP_S)
-        sort_lanes(rows, self.floats, self.ints, np.zeros(len(self.road.lane_ids), np.int64), self.order, self.start)
-        find_leaders(rows, vehicles, self.lanes)
+        update_motion(
+            rows, (lane, position.astype(float), speed.astype(float), signals), self.vehicles, self.lanes, STEP_S
+        )
+        sort_lanes(rows, self.tables, np.zeros(len(self.road.lane_ids), np.int64))
+        find_leaders(rows, self.tables, self.lanes)
 
     def look(
         self,
@@ -104,7 +98,7 @@ class Scene:
         out = np.full((len(agents), width), np.nan, np.float32)
         sensors = Sensors(features, neighbour_columns(neighbours), float(range_m))
         slots, written = np.array(agents, np.int64), np.ones(len(agents), np.uint8)
-        write_observations(slots, written, self.vehicles(), self.lanes, clock, sensors, out)
+        write_observations(slots, written, self.tables, self.lanes, clock, sensors, out)
         return out
 
     def see(self, agent: int, **options: Any) -> dict[str, float]:

@@ -9,7 +9,6 @@ import torch
 from tensordict import TensorDict
 
 from izoo.envs import EcoDrivingEnv, EnvConfig
-from izoo.envs.mdp.columns import COUNTED, CROSSED
 from tests.envs.worlds import crossing, defer, episode, play, short, steer
 
 
@@ -149,10 +148,10 @@ def test_tables_grow() -> None:
     with contextlib.closing(EcoDrivingEnv(crowded, config=config)) as env:
         frames = play(env, 380, defer)
         tables, members = env.backend.episode.tables, env.backend.episode.members
-    assert len(tables.flags) > 256
+    assert len(tables.vehicles) > 256
     assert frames["next", "metrics", "episode", "vehicle_steps"].diff(dim=0).max() > 256
-    approach, flags = frames["next", "metrics", "approach"][-1], tables.flags[members]
-    unfinished = int(((flags[:, COUNTED] == 1) & (flags[:, CROSSED] == 0)).sum())
+    approach, vehicles = frames["next", "metrics", "approach"][-1], tables.vehicles[members]
+    unfinished = int(((vehicles["counted"] == 1) & (vehicles["crossed"] == 0)).sum())
     assert approach["entered"].sum() == approach["crossed"].sum() + unfinished
 
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from izoo.compiling import compiled
 from izoo.envs.config import KEEP_LANE
-from izoo.envs.mdp.columns import ACCEL, DEFERRED, NUMBER, SPEED, YIELDING
 from izoo.envs.mdp.commands import LANE_CHANGE_BRAKING_MPS2
 from izoo.envs.mdp.metric_sums import EPISODE_METRIC
 from izoo.envs.mdp.slots import admit, release
@@ -153,7 +152,7 @@ def _pass_on_orders(world, state, lane_change):  # type: ignore[no-untyped-def]
     commands, releases, caps = translate_actions(world)
     _command(world.tables, state, commands, releases)
     for j in range(caps):
-        number = world.tables.ints[world.tables.capped[j], NUMBER]
+        number = world.tables.vehicles[world.tables.capped[j]].vehicle_number
         state.vehicles[number].top_speed = world.tables.cap_mps[j]
     if lane_change:
         frame = world.frame
@@ -164,9 +163,9 @@ def _pass_on_orders(world, state, lane_change):  # type: ignore[no-untyped-def]
 def _command(tables, state, commands, releases):  # type: ignore[no-untyped-def]
     """Command speeds; a vehicle keeps a command until the next one."""
     for j in range(releases):
-        state.vehicles[tables.ints[tables.release[j], NUMBER]].command = np.nan
+        state.vehicles[tables.vehicles[tables.release[j]].vehicle_number].command = np.nan
     for j in range(commands):
-        state.vehicles[tables.ints[tables.command[j], NUMBER]].command = tables.target_mps[j]
+        state.vehicles[tables.vehicles[tables.command[j]].vehicle_number].command = tables.target_mps[j]
 
 
 @compiled(borrows=True)
@@ -176,10 +175,10 @@ def _command_lanes(tables, state, action, defer, lane_change):  # type: ignore[n
         row = tables.agent_row[a]
         if row < 0:
             continue
-        v = tables.ints[row, NUMBER]
+        v = tables.vehicles[row].vehicle_number
         asks = defer[a] != 0 or np.isnan(action[a, 0]) or tables.acting[a] < 0
         state.vehicles[v].change_mode = DEFAULT_MODE if asks else ROUTE_ONLY_MODE
-        if lane_change[a] != KEEP_LANE and not tables.flags[row, DEFERRED]:
+        if lane_change[a] != KEEP_LANE and not tables.vehicles[row].deferred:
             state.vehicles[v].change_command = lane_change[a] - KEEP_LANE
 
 
@@ -189,7 +188,7 @@ def _see_off(world, state, guests):  # type: ignore[no-untyped-def]
     j = _gone(world.tables, state, 0)
     while j >= 0:
         row = world.tables.members[j]
-        guests.row_of[world.tables.ints[row, NUMBER]] = -1
+        guests.row_of[world.tables.vehicles[row].vehicle_number] = -1
         release(world, row)
         j = _gone(world.tables, state, j)
 
@@ -198,7 +197,7 @@ def _see_off(world, state, guests):  # type: ignore[no-untyped-def]
 def _gone(tables, state, first):  # type: ignore[no-untyped-def]
     """Return the place of the first member from ``first`` on who is no longer on the road, -1 for none."""
     for j in range(first, tables.cursor[MEMBERS]):
-        if state.vehicles[tables.ints[tables.members[j], NUMBER]].status != DRIVING:
+        if state.vehicles[tables.vehicles[tables.members[j]].vehicle_number].status != DRIVING:
             return j
     return -1
 
@@ -228,7 +227,7 @@ def _newcomer(state, guests):  # type: ignore[no-untyped-def]
 def _read(tables, net, state, guests):  # type: ignore[no-untyped-def]
     """Note where the members are: region lane, lane position, speed and signal bits."""
     for j in range(tables.cursor[MEMBERS]):
-        v = tables.ints[tables.members[j], NUMBER]
+        v = tables.vehicles[tables.members[j]].vehicle_number
         guests.lane[j] = net.lanes[state.vehicles[v].lane].region
         guests.position[j] = state.vehicles[v].position
         guests.speed[j] = state.vehicles[v].speed
@@ -259,9 +258,9 @@ def everybody_left(state):  # type: ignore[no-untyped-def]
 def _give_way(tables, state, step_s):  # type: ignore[no-untyped-def]
     """Mark the agents that their drivers slow for a lane change; they are left to them in the next step."""
     for j in range(tables.cursor[MEMBERS]):
-        tables.flags[tables.members[j], YIELDING] = 0
+        tables.vehicles[tables.members[j]].yielding = 0
     for j in range(tables.cursor[WRONG_LANE_AGENTS]):
         row = tables.wrong_lane_agents[j]
-        before = tables.floats[row, SPEED] - tables.floats[row, ACCEL] * step_s
-        wished = state.vehicles[tables.ints[row, NUMBER]].free_speed
-        tables.flags[row, YIELDING] = (before - wished) / step_s > LANE_CHANGE_BRAKING_MPS2
+        before = tables.vehicles[row].speed_mps - tables.vehicles[row].accel_mps2 * step_s
+        wished = state.vehicles[tables.vehicles[row].vehicle_number].free_speed
+        tables.vehicles[row].yielding = (before - wished) / step_s > LANE_CHANGE_BRAKING_MPS2

@@ -18,7 +18,6 @@ from izoo.emissions.classes import CLASSES
 from izoo.emissions.kernel import emission_rate
 from izoo.emissions.moves import MovesSurrogate, tile_rows
 from izoo.emissions.weights import INPUTS
-from izoo.envs.mdp.columns import ACCEL, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, SPEED, STEADY
 from izoo.envs.mdp.state import MEMBERS
 from izoo.envs.twin.runtime.handles import world_at
 from izoo.envs.twin.runtime.prefetch import PARTS_BYTES, WORLD_AT
@@ -114,9 +113,9 @@ def lay_out(by_class, tile, place, tile_class):  # type: ignore[no-untyped-def]
 
 
 @compiled(borrows=True)
-def burns_anew(tables, row):  # type: ignore[no-untyped-def]
+def burns_anew(vehicle):  # type: ignore[no-untyped-def]
     """Whether a vehicle emits something else than in the step before."""
-    return not tables.flags[row, STEADY] and not tables.flags[row, ELECTRIC]
+    return not vehicle.steady and not vehicle.electric
 
 
 @compiled(borrows=True)
@@ -124,9 +123,9 @@ def count_classes(world, by_class):  # type: ignore[no-untyped-def]
     """Add the vehicles that emit something new to ``by_class``."""
     tables = world.tables
     for j in range(tables.cursor[MEMBERS]):
-        row = tables.members[j]
-        if burns_anew(tables, row):
-            by_class[tables.ints[row, MOVES_CLASS]] += 1
+        vehicle = tables.vehicles[tables.members[j]]
+        if burns_anew(vehicle):
+            by_class[vehicle.moves_class] += 1
 
 
 @compiled(borrows=True)
@@ -164,13 +163,13 @@ def gather(addresses, like, place, inputs):  # type: ignore[no-untyped-def]
 def _gather(world, place, inputs):  # type: ignore[no-untyped-def]
     tables, temperature_c, humidity_pct = world.tables, world.rules.temperature_c, world.rules.humidity_pct
     for j in range(tables.cursor[MEMBERS]):
-        row = tables.members[j]
-        if burns_anew(tables, row):
-            at = place[tables.ints[row, MOVES_CLASS]]
-            place[tables.ints[row, MOVES_CLASS]] += 1
+        vehicle = tables.vehicles[tables.members[j]]
+        if burns_anew(vehicle):
+            at = place[vehicle.moves_class]
+            place[vehicle.moves_class] += 1
             inputs[at, 0], inputs[at, 1] = temperature_c, humidity_pct
-            inputs[at, 2], inputs[at, 3] = tables.floats[row, SPEED], tables.floats[row, ACCEL]
-            inputs[at, 4] = tables.floats[row, GRADE]
+            inputs[at, 2], inputs[at, 3] = vehicle.speed_mps, vehicle.accel_mps2
+            inputs[at, 4] = vehicle.grade_pct
 
 
 @compiled(nogil=True)
@@ -184,8 +183,8 @@ def scatter(addresses, like, place, rates_gps):  # type: ignore[no-untyped-def]
 def _scatter(world, place, rates_gps):  # type: ignore[no-untyped-def]
     tables, step_s = world.tables, world.rules.step_s
     for j in range(tables.cursor[MEMBERS]):
-        row = tables.members[j]
-        if burns_anew(tables, row):
-            at = place[tables.ints[row, MOVES_CLASS]]
-            place[tables.ints[row, MOVES_CLASS]] += 1
-            tables.floats[row, EMISSION] = rates_gps[at] * step_s
+        vehicle = tables.vehicles[tables.members[j]]
+        if burns_anew(vehicle):
+            at = place[vehicle.moves_class]
+            place[vehicle.moves_class] += 1
+            vehicle.emission_g = rates_gps[at] * step_s

@@ -12,7 +12,6 @@ import numpy as np
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.backend import Play, entry_edges, episode_traffic
 from izoo.envs.config import EnvConfig
-from izoo.envs.mdp.columns import NUMBER
 from izoo.envs.mdp.episode import DemandAtHorizon, Episode, Reading
 from izoo.envs.mdp.frame import frame_fields
 from izoo.envs.twin.net.reader import TwinWorld, read_twin_world, twin_traffic
@@ -93,7 +92,7 @@ class TwinRun:
         self.config, self.play, self.driving = config, play, driving
         # A row for every vehicle of the demand: compiled code cannot let tables grow.
         self.episode = Episode(config, frame, weights, *play, road, traffic, capacity=len(traffic))
-        rows = len(self.episode.tables.flags)
+        rows = len(self.episode.tables.vehicles)
         edges = entry_edges(road, play.context.demand_approaches, config.step_s)
         self._guests = Guests(
             row_of=np.full(len(traffic), -1, np.int64),
@@ -121,7 +120,7 @@ class TwinRun:
 
     def _reading(self) -> Reading:
         """Return where the members are."""
-        vehicles = self.episode.tables.ints[self.episode.members, NUMBER]
+        vehicles = self.episode.tables.vehicles["vehicle_number"][self.episode.members]
         driving = self.driving
         region = driving.net.lanes["region"][driving.lane[vehicles]].astype(np.int64)
         signals = driving.signals[vehicles].astype(np.int64)

@@ -131,11 +131,9 @@ def _list_world(world, ranges):  # type: ignore[no-untyped-def]
     """List the tables' rows that are taken, mostly the first ones, and what there is of every agent slot."""
     tables, frame = world.tables, world.frame
     rows = tables.cursor[MEMBERS] + tables.cursor[MEMBERS] // _STRAGGLERS
-    rows = min(rows, tables.flags.shape[0])
-    for table in (tables.floats, tables.terms):
-        _list(ranges, place_of(table), rows * table.strides[0])
-    _list(ranges, place_of(tables.ints), rows * tables.ints.strides[0])
-    _list(ranges, place_of(tables.flags), rows * tables.flags.strides[0])
+    rows = min(rows, tables.vehicles.shape[0])
+    _list(ranges, place_of(tables.vehicles), rows * tables.vehicles.strides[0])
+    _list(ranges, place_of(tables.terms), rows * tables.terms.strides[0])
     for numbers in (tables.members, tables.order):
         _list(ranges, place_of(numbers), rows * _WORD_BYTES)
     for numbers in (tables.agent_row, tables.acting, tables.lane_start, frame.agent_vehicle):
