@@ -34,7 +34,7 @@ SOURCES = {
     "izoo.algos": ("networks/censored_normal.py", "networks/compiled_mlp.py"),
     "izoo.contexts": ("features.py",),
     "izoo.emissions": ("*.py",),
-    "izoo.envs": ("config.py", "frame_copies.py", "mdp/*.py", "twin/**/*.py"),
+    "izoo.envs": ("config.py", "frame_copies.py", "tables.py", "mdp/*.py", "twin/**/*.py"),
     "izoo.networks": ("clock.py", "road.py"),
 }
 """Files whose functions are compiled, or whose constants are compiled into them, by their package."""
@@ -195,7 +195,7 @@ def compiled(
 
 
 def line_writer(values: Sequence[Callable[..., float]], scales: Sequence[float], arguments: str) -> Any:
-    """Compile ``write(ARGUMENTS, line)``, which writes each value, divided by its scale, to its place in the line."""
+    """Compile ``write(ARGUMENTS, line, first)``, which writes values, each divided by its scale, from ``first`` on."""
     names = {
         f"value_{k}": compiled(value, borrows=True, cache=False, inline="always") for k, value in enumerate(values)
     }
@@ -203,13 +203,13 @@ def line_writer(values: Sequence[Callable[..., float]], scales: Sequence[float],
 
 
 def field_writer(fields: Sequence[str]) -> Any:
-    """Compile ``write(record, line)``, which writes fields of a record to their places in the line."""
+    """Compile ``write(record, line, first)``, which writes fields of a record from place ``first`` of the line on."""
     return _writer("record", [f"record.{field}" for field in fields], {})
 
 
 def _writer(arguments: str, values: Sequence[str], names: dict[str, Any]) -> Any:
-    lines = [f"    line[{k}] = {value}" for k, value in enumerate(values)]
-    exec("\n".join([f"def write({arguments}, line):", *lines, "    return"]), names)
+    lines = [f"    line[first + {k}] = {value}" for k, value in enumerate(values)]
+    exec("\n".join([f"def write({arguments}, line, first):", *lines, "    return"]), names)
     return compiled(names["write"], borrows=True, cache=False)
 
 

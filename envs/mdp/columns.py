@@ -40,6 +40,7 @@ VEHICLE_FLAGS: tuple[str, ...] = (
 """Fields that are emitted as bool."""
 _OTHER_FLOATS = (
     "prev_accel_mps2",
+    "reported_speed_mps",  # as the simulator reports it, before it becomes the speed
     "junction_m",  # length of its way through the junction
     "sum_emission_g",  # this and the next: from entering to crossing the stop line
     "sum_steps",
@@ -57,6 +58,7 @@ _OTHER_INTS = (
     "agent",  # its agent slot, or -1
     "leader",  # row of its leader, or -1
     "place",  # its index in the order of lanes and positions
+    "signals",  # bits that the simulator reports: 1 right blinker, 2 left blinker
 )
 _OTHER_FLAGS = (
     "counted",  # it entered after the warm-up

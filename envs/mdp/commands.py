@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from izoo.compiling import compiled
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, MIN_SHARE
 from izoo.envs.mdp.metric_sums import METRIC
+from izoo.envs.tables import compiled
 from izoo.networks.road import APPROACHING, INSIDE
 
 LANE_CHANGE_BRAKING_MPS2 = 0.5
@@ -22,8 +22,8 @@ _LANE_CHANGE_DEFERRED = METRIC["lane_change_deferred"]
 _JUNCTION_DEFERRED = METRIC["junction_deferred"]
 
 
-@compiled(borrows=True)
-def plan_commands(tables, rules, action, defer, sums):  # type: ignore[no-untyped-def]
+@compiled
+def plan_commands(world, base):  # type: ignore[no-untyped-def]
     """Write speed commands from accelerations; the other agents are left to the simulator's own driver.
 
     A CV inside the junction is always left to its driver, because none of SUMO's checks keeps a vehicle that is made to
@@ -31,22 +31,22 @@ def plan_commands(tables, rules, action, defer, sums):  # type: ignore[no-untype
     command holds until the next one, so a command that repeats the last one, as in a queue, is not sent again.
 
     Args:
-        tables: reads ``agent_row`` and ``acting``; writes ``command``, ``target_mps`` and ``release``.
-        rules: the episode's :class:`~izoo.envs.mdp.state.Rules`.
-        action: ``[A, 1]`` m/s^2; NaN counts as defer. Agents with ``acting`` below 0 have come since it was chosen.
-        defer: ``[A]`` whether to leave the agent to its own driver.
-        sums: ``[P, M]`` metrics.
+        world: the :class:`~izoo.envs.mdp.state.World`. Actions ``[A, 1]`` are in m/s^2; NaN counts as defer. Agents
+            with ``acting`` below 0 have come since they were chosen.
+        base: first row of the sums (:func:`~izoo.envs.mdp.slots.first_sums`).
 
     Returns:
-        How many rows have a new command, and how many are released.
+        How many rows have a new command, how many are released, and how many have a new maximum speed: none.
     """
+    tables, work, rules, sums = world.tables, world.work, world.rules, world.tables.sums
+    action, defer = tables.decision, tables.deferred
     commands, releases = 0, 0
     for a in range(tables.agent_row.shape[0]):
         r = tables.agent_row[a]
         if r < 0:
             continue
         vehicle = tables.vehicles[r]
-        p = vehicle.approach
+        p = base + vehicle.approach
         sums[p, _AGENT_STEPS] += 1
         is_new = tables.acting[a] < 0
         is_nan = not is_new and np.isnan(action[a, 0])
@@ -62,7 +62,7 @@ def plan_commands(tables, rules, action, defer, sums):  # type: ignore[no-untype
             vehicle.deferred = 1
             if vehicle.commanded:
                 vehicle.commanded = 0
-                tables.release[releases] = r
+                work.release[releases] = r
                 releases += 1
         else:
             vehicle.deferred = 0
@@ -72,14 +72,14 @@ def plan_commands(tables, rules, action, defer, sums):  # type: ignore[no-untype
                 continue
             vehicle.commanded = 1
             vehicle.target_mps = speed
-            tables.command[commands] = r
-            tables.target_mps[commands] = speed
+            work.command[commands] = r
+            work.target_mps[commands] = speed
             commands += 1
-    return commands, releases
+    return commands, releases, 0
 
 
-@compiled(borrows=True)
-def plan_caps(tables, rules, road, action, defer, sums):  # type: ignore[no-untyped-def]
+@compiled
+def plan_caps(world, base):  # type: ignore[no-untyped-def]
     """Write maximum speeds and speed commands from desired speeds, which are shares of the speed limit.
 
     A vehicle no faster than its desired speed gets it as its maximum speed, and its own car-following does the rest. A
@@ -89,21 +89,21 @@ def plan_caps(tables, rules, road, action, defer, sums):  # type: ignore[no-unty
     the exit, whatever the lanes inside the junction allow.
 
     Args:
-        tables, rules, defer, sums: as for :func:`plan_commands`; also writes ``capped`` and ``cap_mps``.
-        road: the region's lanes.
-        action: ``[A, D]`` shares of the limit, one for the whole way or one each before and behind the stop line; from
-            1 on the vehicle is uncommanded, and NaN counts as 1.
+        world, base: as for :func:`plan_commands`. Actions ``[A, D]`` are shares of the limit, one for the whole way or
+            one each before and behind the stop line; from 1 on the vehicle is uncommanded, and NaN counts as 1.
 
     Returns:
         How many rows have a new command, how many are released, and how many have a new maximum speed.
     """
+    tables, work, rules, sums = world.tables, world.work, world.rules, world.tables.sums
+    action, defer = tables.decision, tables.deferred
     commands, releases, caps = 0, 0, 0
     for a in range(tables.agent_row.shape[0]):
         r = tables.agent_row[a]
         if r < 0:
             continue
         vehicle = tables.vehicles[r]
-        p = vehicle.approach
+        p = base + vehicle.approach
         sums[p, _AGENT_STEPS] += 1
         before_line = vehicle.location == APPROACHING
         share = action[a, 0 if before_line else action.shape[1] - 1]
@@ -116,7 +116,9 @@ def plan_caps(tables, rules, road, action, defer, sums):  # type: ignore[no-unty
         if free:
             sums[p, _DEFERRED_STEPS] += 1
         else:
-            limit = road.lane_limit_mps[vehicle.region_lane] if before_line else rules.exit_limit_mps[vehicle.exit]
+            limit = world.exit_limit_mps[vehicle.exit]
+            if before_line:
+                limit = world.road.lanes[vehicle.region_lane].limit_mps
             max_speed = max(share, MIN_SHARE) * limit
             slowing = speed > max_speed
         if slowing and not vehicle.yielding and vehicle.location != INSIDE:
@@ -124,14 +126,14 @@ def plan_caps(tables, rules, road, action, defer, sums):  # type: ignore[no-unty
             if not (vehicle.commanded and slower == vehicle.target_mps):
                 vehicle.commanded = 1
                 vehicle.target_mps = slower
-                tables.command[commands], tables.target_mps[commands] = r, slower
+                work.command[commands], work.target_mps[commands] = r, slower
                 commands += 1
         elif vehicle.commanded:
             vehicle.commanded = 0
-            tables.release[releases] = r
+            work.release[releases] = r
             releases += 1
         if not slowing and max_speed != vehicle.cap_mps and not (max_speed == TOP_SPEED_MPS and vehicle.cap_mps == 0.0):
             vehicle.cap_mps = max_speed
-            tables.capped[caps], tables.cap_mps[caps] = r, max_speed
+            work.capped[caps], work.cap_mps[caps] = r, max_speed
             caps += 1
     return commands, releases, caps

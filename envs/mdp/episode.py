@@ -12,31 +12,33 @@ from izoo.emissions.kernel import KernelWeights
 from izoo.envs.config import STEP, EnvConfig
 from izoo.envs.mdp.blocked_demand import blocked_s
 from izoo.envs.mdp.columns import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
-from izoo.envs.mdp.credit import ENTERED
-from izoo.envs.mdp.displacement import road_arrays
-from izoo.envs.mdp.metric_sums import EPISODE_METRIC, METRIC, MOVEMENTS, OF_COHORT, record_unfinished
-from izoo.envs.mdp.signals import clock_arrays, read_clock
+from izoo.envs.mdp.displacement import road_tables
+from izoo.envs.mdp.metric_sums import EPISODE_METRIC, METRIC, MOVEMENTS, OF_COHORT
+from izoo.envs.mdp.signals import clock_tables
 from izoo.envs.mdp.slots import admit_vehicle, release_vehicle
 from izoo.envs.mdp.snapshot import Scene
 from izoo.envs.mdp.state import (
-    DECISION_STEPS,
-    MEMBERS,
-    WRONG_LANE_AGENTS,
+    ENTERED,
+    WORLD,
     Frame,
-    demand_arrays,
+    World,
+    constants_of,
+    demand_records,
     empty_tables,
-    make_world,
-    rules_of,
     with_double_rows,
     working_memory,
 )
-from izoo.envs.mdp.step import make_frame, translate_frame_actions
+from izoo.envs.mdp.step import count_unfinished, make_frame, translate_frame_actions
+from izoo.envs.tables import directory
 from izoo.errors import IzooError
 from izoo.networks.road import RoadNet
 from izoo.traffic.sampling import Traffic
 
 Reading = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Region lane, lane position in m, speed in m/s and signal bits, ``[n]`` each."""
+
+
+_NO_LANES = np.empty(0, np.int32)
 
 
 class StepCommands(NamedTuple):
@@ -83,6 +85,11 @@ class Episode:
         context, seed, number: what is played.
         road, traffic: the context's net, and the vehicles of the episode.
         capacity: minimum number of rows of the tables, which grow where vehicles are admitted by :meth:`admit`.
+        entry_lanes: see :class:`~izoo.envs.mdp.state.World`.
+
+    Attributes:
+        tables: :class:`~izoo.envs.mdp.state.Tables`.
+        world_at: address of the :class:`~izoo.envs.mdp.state.World`, for compiled code; it changes when tables grow.
 
     Raises:
         IzooError: the intersection has more approaches or exits than the frame has rows.
@@ -99,6 +106,7 @@ class Episode:
         road: RoadNet,
         traffic: Traffic,
         capacity: int = 0,
+        entry_lanes: np.ndarray = _NO_LANES,
     ) -> None:
         ways = max(road.movement_turn.shape)
         if ways > config.num_approaches:
@@ -108,27 +116,35 @@ class Episode:
             )
         self.config, self.frame = config, frame
         self.context, self.seed, self.number, self.road, self.traffic = context, seed, number, road, traffic
-        self.started_s = 0.0
         self._yielding = 0
-        self._weights, self._views = weights, Frame(*(frame[name] for name in Frame._fields))
-        self._demand = demand_arrays(config, context, road, traffic, weights)
-        self._lanes = road_arrays(road)
-        self.clock, self._rules = clock_arrays(road.clock), rules_of(config, context, road, traffic, weights)
-        self.tables = empty_tables(config, len(road.lane_ids), capacity)
-        self._work = working_memory(config, len(road.lane_ids))
+        self._weights = weights
+        demand = demand_records(config, context, road, traffic, weights)
+        self._world = World(
+            tables=empty_tables(config, road, demand, capacity),
+            work=working_memory(config, road),
+            frame=Frame(*(frame[name] for name in Frame._fields)),
+            road=road_tables(road),
+            clock=clock_tables(road.clock),
+            entry_lanes=entry_lanes,
+            **constants_of(config, context, road, traffic, weights),
+        )
         self._bind()
-        read_clock(0.0, self.clock)
 
     def _bind(self) -> None:
-        """Make the world of the present tables for compiled code."""
-        self.world = make_world(
-            self.tables, self._work, self._demand, self._lanes, self.clock, self._rules, self._weights, self._views
-        )
+        """Note where the arrays are."""
+        self.tables = self._world.tables
+        self._directory = directory(self._world, WORLD)
+        self.world_at = self._directory.ctypes.data
 
     @property
     def steps(self) -> int:
         """Steps since the first frame."""
         return int(self.tables.episode[EPISODE_METRIC["steps"]])
+
+    @property
+    def started_s(self) -> float:
+        """Simulated time at the first frame."""
+        return float(self.tables.cursor["started_s"])
 
     @property
     def time_s(self) -> float:
@@ -143,25 +159,20 @@ class Episode:
     @property
     def between_decisions(self) -> bool:
         """Whether the last decision is complete."""
-        return not self.tables.cursor[DECISION_STEPS]
+        return not self.tables.cursor["decision_steps"]
 
     @property
     def members(self) -> np.ndarray:
         """Rows of the vehicles in the region, ``[n]``, in order of arrival."""
-        return self.tables.members[: self.tables.cursor[MEMBERS]]
-
-    @property
-    def demand_state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Status of each vehicle of the demand, blocked vehicles by approach, and arrival steps; they change."""
-        return self._demand.status, self._demand.blocked, self._demand.arrival_step
+        return self.tables.members[: self.tables.cursor["members"]]
 
     # The methods below change the tables; they come in the order of a step.
 
     def admit(self, number: int, accel_mps2: float, counted: bool = True) -> int:
         """Admit a vehicle that has entered the region; return its row (:func:`izoo.envs.mdp.slots.admit`)."""
-        row = int(admit_vehicle(self.world, number, accel_mps2, counted))
+        row = int(admit_vehicle(self.world_at, number, accel_mps2, counted))
         if row < 0:
-            self.tables = with_double_rows(self.tables)
+            self._world = self._world._replace(tables=with_double_rows(self.tables))
             self._bind()
             return self.admit(number, accel_mps2, counted)
         if not counted:
@@ -181,17 +192,26 @@ class Episode:
         Args:
             early: numbers of all vehicles that have entered the region, including those that have left it again.
         """
-        self.started_s = started_s
-        self._demand.status[early], self._demand.arrival_step[early] = ENTERED, 0
-        make_frame(self.world, reading, started_s, False, False)
+        self.tables.cursor["started_s"] = started_s
+        demand = self.tables.demand
+        demand["status"][early], demand["arrival_step"][early], demand["early"][early] = ENTERED, 0, 1
+        self._report(reading)
+        make_frame(self.world_at, self._weights, started_s, False, False)
         self._write_context()
         for name in ("agent_truncated", "terminated", "truncated", "done", "approach_metrics"):
             self.frame[name][:] = 0
 
-    def resume(self, started_s: float) -> None:
-        """Resume an episode that began at ``started_s``, whose tables and frame were restored from outside."""
-        self.started_s = started_s
-        self._work.written[:] = 1
+    def resume(self) -> None:
+        """Resume an episode whose tables and frame were restored from outside."""
+        self._world.work.written[:] = 1
+
+    def _report(self, reading: Reading) -> None:
+        """Write the simulator's report to the members' records."""
+        rows = self.members
+        for name, values in zip(
+            ("region_lane", "lane_position_m", "reported_speed_mps", "signals"), reading, strict=True
+        ):
+            self.tables.vehicles[name][rows] = values
 
     def commands(self) -> StepCommands:
         """Return the commands for the coming step, from the frame's actions.
@@ -201,16 +221,16 @@ class Episode:
         """
         if self.over:
             raise IzooError(f"the episode ended after {self.steps} steps; call reset() before the next step.")
-        tables = self.tables
-        commands, releases, caps = translate_frame_actions(self.world)
+        work = self._world.work
+        commands, releases, caps = translate_frame_actions(self.world_at)
         return StepCommands(
-            *(tables.command[:commands], tables.target_mps[:commands], tables.release[:releases]),
-            *(tables.capped[:caps], tables.cap_mps[:caps]),
+            *(work.command[:commands], work.target_mps[:commands], work.release[:releases]),
+            *(work.capped[:caps], work.cap_mps[:caps]),
         )
 
     def release(self, row: int) -> None:
         """Remove a vehicle that has left the region from the members."""
-        release_vehicle(self.world, row)
+        release_vehicle(self.world_at, row)
 
     def count_collision(self, row: int) -> None:
         """Count a collision; ``row`` is that of the rear vehicle."""
@@ -231,8 +251,9 @@ class Episode:
         """
         playing_out = self.config.decide != STEP and self.steps >= self.config.control_steps
         time_s = self.started_s + (self.steps + 1) * self.config.step_s
-        make_frame(self.world, reading, time_s, True, playing_out and all_left())
-        return self.tables.wrong_lane_agents[: self.tables.cursor[WRONG_LANE_AGENTS]]
+        self._report(reading)
+        make_frame(self.world_at, self._weights, time_s, True, playing_out and all_left())
+        return self.tables.wrong_lane_agents[: self.tables.cursor["wrong_lane_agents"]]
 
     def mark_yielding(self, rows: Sequence[int]) -> None:
         """Set which agents the simulator slows for a lane change; they are left to it in the next step."""
@@ -259,26 +280,31 @@ class Episode:
         if self.steps == config.total_steps or all_left():
             self._finish()
 
+    @property
+    def _sums(self) -> np.ndarray:
+        """Metrics of each approach, ``[P, M]``."""
+        return self.tables.sums[: self.config.num_approaches]
+
     def _complete_horizon_sums(self, ending: DemandAtHorizon) -> None:
         """Complete the sums that stop at the horizon."""
-        tables = self.tables
-        record_unfinished(self.members, tables.vehicles, tables.sums)
+        count_unfinished(self.world_at)
         for name, numbers in ending._asdict().items():
             self._add_to_sums(name, np.asarray(numbers, np.int64), 1.0)
-        self.frame["approach_metrics"][:] = tables.sums
+        self.frame["approach_metrics"][:] = self._sums
 
     def _finish(self) -> None:
         """Truncate the agents that are still there, and complete the sums of the cohort."""
-        demand, frame = self._demand, self.frame
-        blocked = blocked_s(demand.arrival_step, demand.earliest_s, self.started_s, self.steps, self.config.step_s)
-        cohort = np.flatnonzero(demand.cohort)
+        demand, frame = self.tables.demand, self.frame
+        times = demand["arrival_step"], demand["earliest_s"]
+        blocked = blocked_s(*times, self.started_s, self.steps, self.config.step_s)
+        cohort = np.flatnonzero(demand["cohort"])
         self._add_to_sums("cohort", cohort, 1.0)
         self._add_to_sums("cohort_blocked_s", cohort, blocked[cohort])
-        self._add_to_sums("cohort_blocked_co2_g", cohort, (blocked * demand.idle_gps)[cohort])
+        self._add_to_sums("cohort_blocked_co2_g", cohort, (blocked * demand["idle_gps"])[cohort])
         frame["agent_truncated"][:] = frame["mask"]
         frame["agent_done"][:] |= frame["mask"]
         frame["truncated"][:] = frame["done"][:] = 1
-        frame["approach_metrics"][:] = self.tables.sums
+        frame["approach_metrics"][:] = self._sums
 
     def _add_to_sums(self, name: str, numbers: np.ndarray, values: np.ndarray | float) -> None:
         """Add values of vehicles of the demand to a sum of their approaches, and of their movements."""
@@ -293,7 +319,7 @@ class Episode:
         tables, rows = self.tables, self.members
         columns = {name: tables.vehicles[name][rows] for name in (*VEHICLE_FLOATS, *VEHICLE_INTS)}
         columns |= {name: tables.vehicles[name][rows].astype(bool) for name in VEHICLE_FLAGS}
-        return Scene(self.context, self.road, self.time_s, columns, self.clock.now.copy(), tables.sums.copy())
+        return Scene(self.context, self.road, self.time_s, columns, tables.signal["colour"].copy(), self._sums.copy())
 
     def _write_context(self) -> None:
         context, frame = self.context, self.frame
@@ -307,6 +333,7 @@ class Episode:
         frame["approach_mask"][:] = 0
         frame["approach_mask"][: len(self.road.approaches)] = 1
         if "signal" in self.config.emit:
-            p, q = self.clock.now.shape
+            signal = self.tables.signal
+            p, q = signal.shape
             frame["signal_colour"][:], frame["signal_time_left_s"][:] = 2, 0.0
-            frame["signal_colour"][:p, :q], frame["signal_time_left_s"][:p, :q] = self.clock.now, self.clock.time_left_s
+            frame["signal_colour"][:p, :q], frame["signal_time_left_s"][:p, :q] = signal["colour"], signal["change_s"]

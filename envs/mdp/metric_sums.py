@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from izoo.compiling import compiled
 from izoo.envs.mdp.reward import TTC_CAP_S
+from izoo.envs.tables import compiled
 from izoo.networks.clock import RED
 from izoo.networks.road import APPROACHING
 
@@ -131,15 +131,20 @@ _STILL_S = EPISODE_METRIC["still_s"]
 _GRIDLOCK = EPISODE_METRIC["gridlock"]
 
 
-@compiled(borrows=True)
-def accumulate_step(rows, vehicles, colour, legal, step_s, sums):  # type: ignore[no-untyped-def]
+@compiled
+def accumulate_step(world, phase, base):  # type: ignore[no-untyped-def]
     """Add the step to every vehicle's sums, and a vehicle's sums to its approach's when it crosses the stop line.
 
-    ``colour`` and ``legal`` ``[P, Q]`` are the signal in force during the step.
+    Args:
+        world: the :class:`~izoo.envs.mdp.state.World`.
+        phase: of the signal, in force during the step.
+        base: first row of the sums (:func:`~izoo.envs.mdp.slots.first_sums`).
     """
-    for j in range(rows.shape[0]):
-        vehicle = vehicles[rows[j]]
-        p = vehicle.approach
+    tables, step_s = world.tables, world.rules.step_s
+    sums = tables.sums
+    for j in range(tables.cursor.members):
+        vehicle = tables.vehicles[tables.members[j]]
+        p = base + vehicle.approach
         counted = vehicle.counted
         if counted:
             sums[p, _REGION_EMISSION_G] += vehicle.emission_g
@@ -155,38 +160,41 @@ def accumulate_step(rows, vehicles, colour, legal, step_s, sums):  # type: ignor
         if vehicle.location == APPROACHING:
             continue
         vehicle.crossed = 1
-        on_red = colour[p, vehicle.exit] == RED and not legal[p, vehicle.exit]
+        shown = world.clock.shown[vehicle.approach * tables.signal.shape[1] + vehicle.exit, phase]
         if counted:
-            _record_crossing(vehicle, p, step_s, on_red, sums)
+            _record_crossing(vehicle, p, step_s, shown.colour == RED and not shown.legal_on_red, sums)
 
 
-@compiled(borrows=True)
-def accumulate_cohort(rows, vehicles, sums):  # type: ignore[no-untyped-def]
+@compiled
+def accumulate_cohort(tables):  # type: ignore[no-untyped-def]
     """Add the cohort's CO2 and delay of the step, which are counted until the episode ends."""
-    for j in range(rows.shape[0]):
-        vehicle = vehicles[rows[j]]
+    sums = tables.sums
+    for j in range(tables.cursor.members):
+        vehicle = tables.vehicles[tables.members[j]]
         if vehicle.cohort:
             sums[vehicle.approach, _COHORT_CO2_G] += vehicle.emission_g
             sums[vehicle.approach, _COHORT_DELAY_S] += vehicle.delay_s
             sums[vehicle.approach, _MOVEMENT_DELAY_S + vehicle.movement] += vehicle.delay_s
 
 
-@compiled(borrows=True)
-def count_queues(rows, vehicles, sums):  # type: ignore[no-untyped-def]
+@compiled
+def count_queues(tables, base):  # type: ignore[no-untyped-def]
     """Count the vehicles that stand before the stop line, by movement."""
-    for p in range(sums.shape[0]):
+    sums = tables.sums
+    rows = range(base, base + sums.shape[0] // 2)
+    for p in rows:
         for m in range(_NUM_MOVEMENTS):
             sums[p, _QUEUE + m] = 0.0
-    for j in range(rows.shape[0]):
-        vehicle = vehicles[rows[j]]
+    for j in range(tables.cursor.members):
+        vehicle = tables.vehicles[tables.members[j]]
         if vehicle.location == APPROACHING and vehicle.speed_mps < STOPPED_MPS:
-            sums[vehicle.approach, _QUEUE + vehicle.movement] += 1
-    for p in range(sums.shape[0]):
+            sums[base + vehicle.approach, _QUEUE + vehicle.movement] += 1
+    for p in rows:
         for m in range(_NUM_MOVEMENTS):
             sums[p, _QUEUE_MAX + m] = max(sums[p, _QUEUE_MAX + m], sums[p, _QUEUE + m])
 
 
-@compiled(borrows=True)
+@compiled
 def _record_crossing(vehicle, p, step_s, on_red, sums):  # type: ignore[no-untyped-def]
     sums[p, _CROSSED] += 1
     sums[p, _EMISSION_G] += vehicle.sum_emission_g
@@ -207,8 +215,8 @@ def _record_crossing(vehicle, p, step_s, on_red, sums):  # type: ignore[no-untyp
         sums[p, _EMISSION_HDV_G] += vehicle.sum_emission_g
 
 
-@compiled(borrows=True)
-def record_entry(vehicle, sums):  # type: ignore[no-untyped-def]
+@compiled
+def record_entry(vehicle, base, sums):  # type: ignore[no-untyped-def]
     """Reset the sums of a vehicle that has just been given its row, and count its entry."""
     vehicle.sum_emission_g = 0.0
     vehicle.sum_steps = 0.0
@@ -218,39 +226,40 @@ def record_entry(vehicle, sums):  # type: ignore[no-untyped-def]
     vehicle.junction_m = 0.0
     vehicle.min_ttc_s = np.inf
     if vehicle.counted:
-        sums[vehicle.approach, _ENTERED] += 1
+        sums[base + vehicle.approach, _ENTERED] += 1
 
 
-@compiled(borrows=True)
-def record_unfinished(rows, vehicles, sums):  # type: ignore[no-untyped-def]
+@compiled
+def record_unfinished(tables):  # type: ignore[no-untyped-def]
     """Add the counted vehicles that have not crossed by the horizon."""
-    for j in range(rows.shape[0]):
-        vehicle = vehicles[rows[j]]
+    sums = tables.sums
+    for j in range(tables.cursor.members):
+        vehicle = tables.vehicles[tables.members[j]]
         if vehicle.counted and not vehicle.crossed:
             sums[vehicle.approach, _UNFINISHED] += 1
             sums[vehicle.approach, _UNFINISHED_EMISSION_G] += vehicle.sum_emission_g
 
 
-@compiled(borrows=True)
-def accumulate_episode(rows, tables, reward, step_s, sums):  # type: ignore[no-untyped-def]
+@compiled
+def accumulate_episode(tables, reward, step_s, base):  # type: ignore[no-untyped-def]
     """Add the step to the episode's sums ``tables.episode``, and CVs without a slot to those of their approach."""
-    episode = tables.episode
+    episode, sums, count = tables.episode, tables.sums, tables.cursor.members
     agents, total, fastest = 0, 0.0, 0.0
     for a in range(tables.acting.shape[0]):
         if tables.acting[a] >= 0:
             agents += 1
             total += reward[a]
-    for j in range(rows.shape[0]):
-        vehicle = tables.vehicles[rows[j]]
+    for j in range(tables.cursor.members):
+        vehicle = tables.vehicles[tables.members[j]]
         fastest = max(fastest, vehicle.speed_mps)
         if vehicle.is_cv and vehicle.agent < 0:
-            sums[vehicle.approach, _UNSLOTTED_STEPS] += 1
+            sums[base + vehicle.approach, _UNSLOTTED_STEPS] += 1
     episode[_STEPS] += 1
     episode[_REWARD_SUM] += total
     episode[_EPISODE_AGENT_STEPS] += agents
-    episode[_EPISODE_VEHICLE_STEPS] += rows.shape[0]
+    episode[_EPISODE_VEHICLE_STEPS] += count
     if agents:
         episode[_RETURN] += total / agents
-    episode[_STILL_S] = episode[_STILL_S] + step_s if rows.shape[0] and fastest < MOVING_MPS else 0.0
+    episode[_STILL_S] = episode[_STILL_S] + step_s if count and fastest < MOVING_MPS else 0.0
     if episode[_STILL_S] >= GRIDLOCK_S:
         episode[_GRIDLOCK] = 1.0

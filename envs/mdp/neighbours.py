@@ -7,36 +7,34 @@ from __future__ import annotations
 
 import numpy as np
 
-from izoo.compiling import compiled
 from izoo.envs.mdp.displacement import ROUTE_LIMIT
 from izoo.envs.mdp.observation import FAR_M
+from izoo.envs.tables import compiled
 from izoo.networks.road import LEAVING
 
 NO_TTC = np.inf
 LONGEST_VEHICLE_M = 30.0
 
 
-@compiled(borrows=True)
-def sort_lanes(rows, tables, fill):  # type: ignore[no-untyped-def]
+@compiled
+def sort_lanes(tables, fill):  # type: ignore[no-untyped-def]
     """Fill ``order`` with rows by lane and position, and ``lane_start`` with where in it each lane begins.
 
-    Args:
-        rows: in order of arrival; of two vehicles at the same position the earlier one comes first.
-        fill: ``[L]`` working memory.
+    Of two vehicles at the same position the earlier one comes first. ``fill`` is ``[L]`` working memory.
     """
     vehicles, order, start = tables.vehicles, tables.order, tables.lane_start
     num_lanes = fill.shape[0]
     for k in range(num_lanes):
         fill[k] = 0
-    for j in range(rows.shape[0]):
-        fill[vehicles[rows[j]].region_lane] += 1
+    for j in range(tables.cursor.members):
+        fill[vehicles[tables.members[j]].region_lane] += 1
     start[0] = 0
     for k in range(num_lanes):
         start[k + 1] = start[k] + fill[k]
         fill[k] = start[k]
     # The latest arrival is mostly furthest upstream, so this rarely moves anything.
-    for j in range(rows.shape[0] - 1, -1, -1):
-        r = rows[j]
+    for j in range(tables.cursor.members - 1, -1, -1):
+        r = tables.members[j]
         k = vehicles[r].region_lane
         slot = fill[k]
         while slot > start[k] and vehicles[order[slot - 1]].lane_position_m >= vehicles[r].lane_position_m:
@@ -46,7 +44,7 @@ def sort_lanes(rows, tables, fill):  # type: ignore[no-untyped-def]
         fill[k] += 1
 
 
-@compiled(borrows=True, forceinline=True)
+@compiled(forceinline=True)
 def first_at_or_beyond(lane, position, tables):  # type: ignore[no-untyped-def]
     """Return the index in ``order`` of the first vehicle on ``lane`` at or beyond ``position``, or the lane's end."""
     vehicles, order, start = tables.vehicles, tables.order, tables.lane_start
@@ -60,7 +58,7 @@ def first_at_or_beyond(lane, position, tables):  # type: ignore[no-untyped-def]
     return low
 
 
-@compiled(borrows=True, forceinline=True)
+@compiled(forceinline=True)
 def find_turning_off(lane, position, exit_, ego, tables, road):  # type: ignore[no-untyped-def]
     """Return the vehicle that turns off to another exit with its rear still on ``lane``, and the gap to ``position``.
 
@@ -71,21 +69,21 @@ def find_turning_off(lane, position, exit_, ego, tables, road):  # type: ignore[
     found, nearest = -1, FAR_M
     for q in range(road.next_lane.shape[1]):
         beyond, turn = 0.0, road.next_lane[lane, q]
-        while q != exit_ and turn >= 0 and road.lane_location[turn] != LEAVING and beyond < LONGEST_VEHICLE_M:
+        while q != exit_ and turn >= 0 and road.lanes[turn].location != LEAVING and beyond < LONGEST_VEHICLE_M:
             if start[turn] < start[turn + 1]:
                 other = order[start[turn]]
                 behind = beyond + vehicles[other].lane_position_m - vehicles[other].length_m
                 if other != ego and behind < 0.0:
-                    gap = road.lane_length[lane] - position + behind
+                    gap = road.lanes[lane].length_m - position + behind
                     if gap < nearest:
                         found, nearest = other, gap
                 break
-            beyond += road.lane_length[turn]
+            beyond += road.lanes[turn].length_m
             turn = road.next_lane[turn, q]
     return found, nearest
 
 
-@compiled(borrows=True, forceinline=True)
+@compiled(forceinline=True)
 def find_leader(lane, position, first, exit_, ego, tables, road):  # type: ignore[no-untyped-def]
     """Return the row of the first vehicle ahead of ``position`` along the way to ``exit_`` and its gap.
 
@@ -97,7 +95,7 @@ def find_leader(lane, position, first, exit_, ego, tables, road):  # type: ignor
     if first < start[lane + 1]:
         other = order[first]
         return other, vehicles[other].lane_position_m - vehicles[other].length_m - position
-    travelled = road.lane_length[lane] - position
+    travelled = road.lanes[lane].length_m - position
     turning, rear = find_turning_off(lane, position, exit_, ego, tables, road)
     for _ in range(ROUTE_LIMIT):
         lane = road.next_lane[lane, exit_]
@@ -108,11 +106,11 @@ def find_leader(lane, position, first, exit_, ego, tables, road):  # type: ignor
             if other != ego:
                 gap = travelled + vehicles[other].lane_position_m - vehicles[other].length_m
                 return (other, gap) if turning < 0 or gap <= rear else (turning, rear)
-        travelled += road.lane_length[lane]
+        travelled += road.lanes[lane].length_m
     return turning, rear
 
 
-@compiled(borrows=True, forceinline=True)
+@compiled(forceinline=True)
 def find_follower(lane, position, last, length, approach, ego, tables, road):  # type: ignore[no-untyped-def]
     """Return the row of the first vehicle behind ``position`` along the way from ``approach`` and its gap.
 
@@ -131,16 +129,16 @@ def find_follower(lane, position, last, length, approach, ego, tables, road):  #
         if start[lane] < start[lane + 1]:
             other = order[start[lane + 1] - 1]
             if other != ego:
-                return other, travelled + road.lane_length[lane] - vehicles[other].lane_position_m - length
-        travelled += road.lane_length[lane]
+                return other, travelled + road.lanes[lane].length_m - vehicles[other].lane_position_m - length
+        travelled += road.lanes[lane].length_m
     return -1, FAR_M
 
 
-@compiled(borrows=True)
-def find_leaders(rows, tables, road):  # type: ignore[no-untyped-def]
+@compiled
+def find_leaders(tables, road):  # type: ignore[no-untyped-def]
     """Write each vehicle's leader (gap in m, speed, flag) and its time to collision in s, infinite when not closing."""
     vehicles, order = tables.vehicles, tables.order
-    for k in range(rows.shape[0]):
+    for k in range(tables.cursor.members):
         r = order[k]
         vehicle = vehicles[r]
         vehicle.place = k

@@ -34,9 +34,10 @@ class Column:
         name: its name; a neighbour's column has the neighbour's name before it.
         unit: of the value before it is divided by the scale; empty for flags and shares.
         scale: the observation holds ``value / scale``.
-        value: gives the value; it is compiled. An ego column's is ``value(vehicle, road, clock)`` of a vehicle's record
-            (:data:`izoo.envs.mdp.columns.Vehicle`), the arrays of the road and the state of the signals. A neighbour
-            column's is ``value(other, present, gap_m, lane_exists)``; if the neighbour is absent, the gap is
+        value: gives the value; it is compiled. An ego column's is ``value(vehicle, road, signal)`` of a vehicle
+            (:data:`izoo.envs.mdp.columns.Vehicle`), the road (:class:`~izoo.envs.mdp.displacement.Road`) and what its
+            movement is shown (:data:`~izoo.envs.mdp.signals.Shown`). A neighbour column's is
+            ``value(other, present, gap_m, lane_exists)``; if the neighbour is absent, the gap is
             :data:`FAR_M` and the record ``other`` is of no meaning.
         meaning: further explanation.
     """
@@ -48,49 +49,49 @@ class Column:
     meaning: str = ""
 
 
-def _speed(vehicle: Any, road: Any, clock: Any) -> float:
+def _speed(vehicle: Any, road: Any, signal: Any) -> float:
     return vehicle.speed_mps
 
 
-def _stop_line(vehicle: Any, road: Any, clock: Any) -> float:
+def _stop_line(vehicle: Any, road: Any, signal: Any) -> float:
     return vehicle.stop_line_distance_m
 
 
-def _lane(vehicle: Any, road: Any, clock: Any) -> float:
-    lane = vehicle.region_lane
-    siblings = road.lane_siblings[lane]
-    return road.lane_index[lane] / (siblings - 1) if siblings > 1 else 0.0
+def _lane(vehicle: Any, road: Any, signal: Any) -> float:
+    lane = road.lanes[vehicle.region_lane]
+    siblings = lane.siblings
+    return lane.index / (siblings - 1) if siblings > 1 else 0.0
 
 
-def _time_left(vehicle: Any, road: Any, clock: Any) -> float:
-    return clock.time_left_s[vehicle.approach, vehicle.exit]
+def _time_left(vehicle: Any, road: Any, signal: Any) -> float:
+    return signal.change_s
 
 
-def _second_green(vehicle: Any, road: Any, clock: Any) -> float:
-    return clock.until_second_s[vehicle.approach, vehicle.exit]
+def _second_green(vehicle: Any, road: Any, signal: Any) -> float:
+    return signal.second_green_s
 
 
-def _third_green(vehicle: Any, road: Any, clock: Any) -> float:
-    return clock.until_third_s[vehicle.approach, vehicle.exit]
+def _third_green(vehicle: Any, road: Any, signal: Any) -> float:
+    return signal.third_green_s
 
 
 def _located(where: int) -> Callable[..., float]:
-    def value(vehicle: Any, road: Any, clock: Any) -> float:
+    def value(vehicle: Any, road: Any, signal: Any) -> float:
         return 1.0 if vehicle.location == where else 0.0
 
     return value
 
 
 def _turning(turn: int) -> Callable[..., float]:
-    def value(vehicle: Any, road: Any, clock: Any) -> float:
+    def value(vehicle: Any, road: Any, signal: Any) -> float:
         return 1.0 if vehicle.movement == turn else 0.0
 
     return value
 
 
 def _shows(colour: int) -> Callable[..., float]:
-    def value(vehicle: Any, road: Any, clock: Any) -> float:
-        return 1.0 if clock.now[vehicle.approach, vehicle.exit] == colour else 0.0
+    def value(vehicle: Any, road: Any, signal: Any) -> float:
+        return 1.0 if signal.colour == colour else 0.0
 
     return value
 

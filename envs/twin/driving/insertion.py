@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.car_following import brake_gap, free_speed, secure_gap, stop_speed
 from izoo.envs.twin.driving.lane_queues import insert_into_lane, last_tail, last_vehicle, rear_position
 from izoo.envs.twin.driving.tolerances import POSITION_EPS
 from izoo.envs.twin.driving.traffic_lights import ALLWAY_STOP, EQUAL, MINOR, PRIORITY_GREEN, STOP, is_major
 from izoo.envs.twin.net.best_lanes import find_variant
 from izoo.envs.twin.net.conflicts import DIVERGING
-from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import DRIVING, DROPPED, WAITING
 
 ENTER, WAIT, DROP = range(3)

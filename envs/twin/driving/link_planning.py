@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.car_following import (
     accelerated_speed,
     arrival_time_s,
@@ -28,7 +29,6 @@ from izoo.envs.twin.driving.tolerances import EPS, POSITION_EPS, VISIBILITY_M
 from izoo.envs.twin.driving.traffic_lights import is_major, is_red_or_yellow
 from izoo.envs.twin.junction.foes import Plan, limit_by_foes
 from izoo.envs.twin.junction.right_of_way import slows_before
-from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import MAX_ITEMS_PER_VEHICLE
 
 STOP_LINE_GAP_M = 1.0

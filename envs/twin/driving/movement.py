@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.car_following import brake_gap, desired_speed, max_speed, min_speed, stop_speed
 from izoo.envs.twin.driving.lane_queues import clear_tail, remove_from_lane, set_tail
 from izoo.envs.twin.driving.link_planning import SPEED_EPS
@@ -14,7 +15,6 @@ from izoo.envs.twin.lane_change.blinkers import blinkers
 from izoo.envs.twin.lane_change.cooperation import advised_speed
 from izoo.envs.twin.lane_change.downstream_occupancy import remember_downstream_occupancy
 from izoo.envs.twin.net.best_lanes import find_variant
-from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import ARRIVED, MAX_TAIL_LANES
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.car_following import brake_gap, desired_speed, follow_speed, stop_speed
 from izoo.envs.twin.driving.lane_queues import rear_position
 from izoo.envs.twin.driving.tolerances import POSITION_EPS, STANDING_MPS
 from izoo.envs.twin.driving.traffic_lights import OFF_YELLOW, RED, YELLOW, is_green, is_major
 from izoo.envs.twin.net.conflicts import CROSSING, DIVERGING, MERGING, NOWHERE
-from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import NEVER_MS
 
 BLOCKED_AFTER_MS = 5000

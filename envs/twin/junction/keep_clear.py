@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.car_following import brake_gap
 from izoo.envs.twin.driving.lane_queues import last_vehicle
 from izoo.envs.twin.driving.tolerances import POSITION_EPS, STANDING_MPS
-from izoo.envs.twin.runtime.compiled import compiled
 
 
 @compiled

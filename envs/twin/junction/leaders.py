@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.car_following import desired_speed, follow_speed, stop_speed
 from izoo.envs.twin.driving.lane_queues import rear_position
 from izoo.envs.twin.driving.tolerances import POSITION_EPS
 from izoo.envs.twin.driving.traffic_lights import RED
 from izoo.envs.twin.junction.foes import Encounter, gap_to_foe, is_before_wait
 from izoo.envs.twin.net.conflicts import CROSSING, DIVERGING, MERGING, NOWHERE
-from izoo.envs.twin.runtime.compiled import compiled
 
 
 @compiled

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.tolerances import STANDING_MPS, VISIBILITY_M
 from izoo.envs.twin.driving.traffic_lights import RED, STOP, YELLOW, is_major
-from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import NEVER_MS
 
 MARGIN_MS = 1000

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.car_following import brake_gap, desired_speed, follow_speed, safe_stop_speed, secure_gap
 from izoo.envs.twin.driving.tolerances import EPS, STANDING_MPS
 from izoo.envs.twin.lane_change.cooperation import (
@@ -45,7 +46,6 @@ from izoo.envs.twin.lane_change.flags import (
     WANTED_RIGHTWARD,
     WANTS_CHANGE_OR_STAY,
 )
-from izoo.envs.twin.runtime.compiled import compiled
 
 _LOOK_AHEAD_DECAY_PER_S = 0.1
 _LOOK_AHEAD_S = 10.0

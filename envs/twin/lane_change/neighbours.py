@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.car_following import brake_gap, desired_speed, follow_speed, secure_gap
 from izoo.envs.twin.driving.lane_queues import last_tail, last_vehicle, rear_position
 from izoo.envs.twin.driving.tolerances import STANDING_MPS
 from izoo.envs.twin.driving.traffic_lights import is_major
 from izoo.envs.twin.junction.leaders import leader_in_conflict
 from izoo.envs.twin.net.conflicts import DIVERGING
-from izoo.envs.twin.runtime.compiled import compiled
 
 _MAX_BRAKING_M = 1000.0
 _MAX_LANES_BEHIND = 32

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.traffic_lights import LOWER_CASE, UPPER_CASE, is_major
 from izoo.envs.twin.net.tables import NetTables
-from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import Best
 from izoo.errors import IzooError
 

@@ -12,7 +12,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from izoo.envs.twin.runtime.compiled import Byte1, Float1, Int1, Int2, Int3, Long1, opener, tables_type
+from izoo.envs.tables import Byte1, Float1, Int1, Int2, Int3, Long1, opener, tables_type
 
 MAX_ROUTE_EDGES = 6
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from izoo.envs.tables import directory
 from izoo.envs.twin.driving.step import new_state, step
-from izoo.envs.twin.runtime.compiled import directory
 from izoo.envs.twin.runtime.layout import NET, STATE, TRAFFIC, WORKING, TwinNet, TwinState, TwinTraffic
 from izoo.envs.twin.runtime.prefetch import no_ranges
 from izoo.envs.twin.runtime.scratch import Desk, zeros
@@ -18,7 +18,7 @@ class TwinEpisode:
 
     Attributes:
         net, traffic, state: the arrays; values may be changed, arrays never replaced.
-        addresses: where compiled code finds them (:mod:`izoo.envs.twin.runtime.compiled`), in this order.
+        addresses: where compiled code finds them (:mod:`izoo.envs.tables`), in this order.
 
     Args:
         step_ms: length of a step, 50 to 1000.

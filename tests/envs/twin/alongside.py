@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from izoo.benchmarks.fidelity.single_vehicle import Case, Trace
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.lane_queues import insert_into_lane, remove_from_lane, set_tail
 from izoo.envs.twin.lane_change.cooperation import clear_memories
 from izoo.envs.twin.lane_change.downstream_occupancy import remember_downstream_occupancy
 from izoo.envs.twin.net.best_lanes import find_variant
 from izoo.envs.twin.net.reader import twin_traffic
-from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
     ARRIVED,
     DRIVING,
