@@ -38,7 +38,7 @@ SOURCES = {
     "izoo.networks": ("clock.py", "road.py"),
 }
 """Files whose functions are compiled, or whose constants are compiled into them, by their package."""
-_PATIENCE_S = 120.0
+_PATIENCE_S = 1200.0
 _KEPT_S = 24 * 3600.0
 """For so long compiled code of older sources is kept after a process last began to use it: it may still run."""
 _MARK = "writable"
@@ -246,10 +246,11 @@ def local_floats(typing_context, count):  # type: ignore[no-untyped-def]
 
 @contextlib.contextmanager
 def compiling_once(kernel: Any) -> Iterator[None]:
-    """Where ``kernel`` is not compiled yet, say that it takes a while, and let one process compile it; others wait.
+    """Where ``kernel`` is not compiled yet, say that it takes a while, and let one process compile at a time.
 
-    Where files cannot be locked, every process compiles. A kernel from another machine, which numba will not use, is
-    not recognised as such.
+    Kernels share most of what they call, so a process that waited for another finds most of its own compiled. Within
+    the context nothing may be waited for that another process compiles for. Where files cannot be locked, every process
+    compiles. A kernel from another machine, which numba will not use, is not recognised as such.
 
     Args:
         kernel: numba's dispatcher, called for the first time within the context.
@@ -269,7 +270,7 @@ def compiling_once(kernel: Any) -> Iterator[None]:
     if is_there():
         yield
         return
-    lock = filelock.FileLock(where / f"{name}.lock")
+    lock = filelock.FileLock(where.parent / "compiling.lock")
     with contextlib.suppress(OSError, NotImplementedError, filelock.Timeout):
         lock.acquire(_PATIENCE_S)
     try:

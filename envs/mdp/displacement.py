@@ -54,9 +54,8 @@ def road_tables(road: RoadNet) -> Road:
         lanes[name][:-1] = getattr(road, column)
     lanes["first_segment"] = road.segment_start
     segments["from_m"], segments["grade_pct"] = road.segment_from_m, road.segment_grade_pct
-    turn = road.movement_turn.astype(np.int32)
-    lengths = np.ascontiguousarray(road.lane_length_m, float)
-    return Road(lanes, segments, *map(np.ascontiguousarray, (road.next_lane, road.prev_lane, turn)), lengths)
+    turn, lengths_m = road.movement_turn.astype(np.int32), np.ascontiguousarray(road.lane_length_m, float)
+    return Road(lanes, segments, road.next_lane, road.prev_lane, turn, lengths_m)
 
 
 @compiled

@@ -19,7 +19,7 @@ from izoo.envs.backend import CLOSED, Play, clear_ended
 from izoo.envs.config import KEEP_LANE, STEP, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.snapshot import Scene
-from izoo.envs.twin.runtime.batch_step import conclude_all, drive_all, play_all
+from izoo.envs.twin.runtime.batch_step import conclude_all, drive_all, play_all, warm_up_all
 from izoo.envs.twin.runtime.batched_emissions import GROUP, Emitter
 from izoo.envs.twin.runtime.episode_setup import Prepared, TwinRun, prepare
 from izoo.envs.twin.runtime.prefetch import ADDRESSES, no_ranges
@@ -136,26 +136,26 @@ class TwinBackend:
         if self.closed:
             raise IzooError(CLOSED)
         self._prepare_now(plays)
-        with compiling_once(play_all if self.surrogate == "compiled" else drive_all):
-            for index, play in plays.items():
-                self._runs[index] = None
-                desk = self._desks[bisect_right(self._shares, index, key=lambda share: share.start) - 1]
-                prepared = self._take(index, play, desk)
-                run = TwinRun(self.config, row_of(self.frames, index), self._weights, prepared, desk)
-                self._runs[index] = run
-                self._most_vehicles = max(self._most_vehicles, len(prepared.traffic))
-                self._addresses[index], self._left[index] = run.addresses, self.config.total_steps
-            self._compile()
+        self._compile()
+        for index, play in plays.items():
+            self._runs[index] = None
+            desk = self._desks[bisect_right(self._shares, index, key=lambda share: share.start) - 1]
+            prepared = self._take(index, play, desk)
+            run = TwinRun(self.config, row_of(self.frames, index), self._weights, prepared, desk)
+            self._runs[index] = run
+            self._most_vehicles = max(self._most_vehicles, len(prepared.traffic))
+            self._addresses[index], self._left[index] = run.addresses, self.config.total_steps
 
     def _compile(self) -> None:
         """Compile what steps call, by stepping no environment; other processes wait meanwhile."""
-        if self._runs[0] is not None:
-            none, emitter, ranges = slice(0, 0), self._emitters[0], self._ranges[0]
+        none, emitter, ranges = slice(0, 0), self._emitters[0], self._ranges[0]
+        with compiling_once(play_all if self.surrogate == "compiled" else drive_all):
             if self.surrogate == "compiled":
                 self._drive_share(none, self._left[none], False, emitter, ranges)
             else:
                 drive_all(self._addresses[none], self._step_ms, self.config.lane_change, emitter.by_class, ranges)
                 conclude_all(self._addresses[none], ranges)
+            warm_up_all(self._addresses[none], 0, self._step_ms, ranges)
 
     def _prepare_now(self, plays: Mapping[int, Play]) -> None:
         """Let processes prepare what is not ready, where there are some; or else build the nets together."""

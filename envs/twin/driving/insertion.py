@@ -173,6 +173,6 @@ def insert_vehicle(net, traffic, state, v, lane):  # type: ignore[no-untyped-def
     vehicles, driver = state.vehicles, traffic.drivers[v]
     vehicles[v].position = min(net.lanes[lane].length, driver.length + POSITION_EPS)
     vehicles[v].speed, vehicles[v].accel = driver.depart_speed, 0.0
-    state.vehicles[v].status = DRIVING
+    vehicles[v].status = DRIVING
     insert_into_lane(state, v, lane)
     state.clock.on_road += 1

@@ -45,7 +45,7 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     step_s = step_ms / 1000.0
     vehicles = state.vehicles
     driver = traffic.drivers[v]
-    route = traffic.drivers[v].route
+    route = driver.route
     variant = vehicles[v].variant
     speed, lane = vehicles[v].speed, vehicles[v].lane
     top = vehicles[v].top_speed
@@ -179,10 +179,9 @@ def register_approaches(state):  # type: ignore[no-untyped-def]
     for link in range(state.link_first.shape[0]):
         state.link_first[link] = -1
     for item in range(state.clock.items):
-        link = state.items[item].link
-        if link >= 0:
-            planned = state.items[item]
+        planned = state.items[item]
+        if planned.link >= 0:
             mean = max(0.5 * (planned.arrival_speed + planned.leave_speed), EPS)
             planned.leave_ms = planned.arrival_ms + int(1000.0 * planned.passage / mean + 0.5)
-            state.items[item].next = state.link_first[link]
-            state.link_first[link] = item
+            planned.next = state.link_first[planned.link]
+            state.link_first[planned.link] = item

@@ -91,7 +91,7 @@ def next_speed(net, traffic, state, v, safe, needed, step_ms):  # type: ignore[n
     hardest = max(0.0, speed - driver.emergency_decel * step_s)
     slowest = min_speed(driver, speed, step_s)
     fastest = max_speed(driver, speed, vehicles[v].top_speed, step_s)
-    limit = desired_speed(net, state, v, state.vehicles[v].lane)
+    limit = desired_speed(net, state, v, vehicles[v].lane)
     low = min(slowest, max(safe, hardest))
     high = max(low, min(fastest, safe, max(limit, safe)))
     result = advised_speed(net, traffic, state, v, low, high, high, step_s)

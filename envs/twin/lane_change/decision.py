@@ -245,7 +245,7 @@ def _prepare_urgent_change(net, traffic, state, v, change, around, blocked, flag
 def _discretionary_change(net, traffic, state, v, change, around, flags, step_s):  # type: ignore[no-untyped-def]
     """Return the state bits of a request that the route does not press for: cooperation, speed gain, keeping right."""
     vehicles, driver = state.vehicles, traffic.drivers[v]
-    lane, variant = state.vehicles[v].lane, state.vehicles[v].variant
+    lane, variant = vehicles[v].lane, vehicles[v].variant
     target, right = lane + change.side, change.side < 0
     toward = RIGHTWARD if right else LEFTWARD
     speed = vehicles[v].speed
@@ -254,7 +254,7 @@ def _discretionary_change(net, traffic, state, v, change, around, flags, step_s)
     allowed = target_length / (abs(change.offset) + 1) > change.look_ahead_m
 
     wanted = WANTED_RIGHTWARD if right else WANTED_LEFTWARD
-    own = state.vehicles[v].change_state
+    own = vehicles[v].change_state
     if own & BLOCKS_FOLLOWER and own & wanted and (change.to_best or allowed):
         request = flags | toward | COOPERATIVE | URGENT
         if _is_permitted(net, state, v, request):

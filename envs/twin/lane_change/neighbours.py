@@ -35,11 +35,11 @@ class Neighbours(NamedTuple):
 def leader_on_lane(net, traffic, state, v, lane, step_s):  # type: ignore[no-untyped-def]
     """Return the leader of ``v`` on ``lane`` of its edge, or -1, and the gap (m, less the standstill gap)."""
     vehicles = state.vehicles
-    if lane == state.vehicles[v].lane:
-        leader = state.vehicles[v].ahead
+    if lane == vehicles[v].lane:
+        leader = vehicles[v].ahead
     else:
         behind = state.changer[lane].next
-        leader = state.vehicles[behind].ahead if behind >= 0 else state.lanes[lane].back
+        leader = vehicles[behind].ahead if behind >= 0 else state.lanes[lane].back
     front, min_gap = vehicles[v].position, traffic.drivers[v].min_gap
     if leader >= 0:
         return leader, vehicles[leader].position - traffic.drivers[leader].length - front - min_gap

@@ -89,8 +89,8 @@ class TwinRun:
         self.config, self.play, self.driving = config, play, driving
         edges = entry_edges(road, play.context.demand_approaches, config.step_s)
         # A row for every vehicle of the demand: compiled code cannot let tables grow.
-        rows = {"capacity": len(traffic), "entry_lanes": _lanes_of(edges, names)}
-        self.episode = Episode(config, frame, weights, *play, road, traffic, **rows)
+        rows, lanes = len(traffic), _lanes_of(edges, names)
+        self.episode = Episode(config, frame, weights, *play, road, traffic, rows, lanes)
         self.addresses = (self.episode.world_at, *driving.addresses)
         self._enter_all(names, road)
 
@@ -103,15 +103,13 @@ class TwinRun:
                 self.episode.admit(v, float(state.vehicles["accel"][v]), counted=False)
                 v = int(state.vehicles["ahead"][v])
         early = (self.episode.tables.demand["row"] >= 0) | (state.vehicles["status"] == ARRIVED)
-        self.episode.begin(self._reading(), state.clock["now_ms"] / 1000.0, np.flatnonzero(early).tolist())
+        self.episode.begin(self._reading(), float(state.clock["now_ms"]) / 1000.0, np.flatnonzero(early).tolist())
 
     def _reading(self) -> Reading:
         """Return where the members are."""
-        vehicles = self.episode.tables.vehicles["vehicle_number"][self.episode.members]
-        driving = self.driving
-        region = driving.net.lanes["region"][driving.lane[vehicles]].astype(np.int64)
-        signals = driving.signals[vehicles].astype(np.int64)
-        return region, driving.position_m[vehicles], driving.speed_mps[vehicles], signals
+        vehicles = self.driving.state.vehicles[self.episode.tables.vehicles["vehicle_number"][self.episode.members]]
+        region = self.driving.net.lanes["region"][vehicles["lane"]]
+        return region, vehicles["position"], vehicles["speed"], vehicles["signals"]
 
     def end_step(self) -> None:
         """Complete the sums at the horizon and at the end; say so where vehicles were not driven as in SUMO."""
