@@ -50,7 +50,6 @@ Int2 = Annotated[np.ndarray, "int32", 2]
 Int3 = Annotated[np.ndarray, "int32", 3]
 Long1 = Annotated[np.ndarray, "int64", 1]
 Byte1 = Annotated[np.ndarray, "uint8", 1]
-Byte2 = Annotated[np.ndarray, "uint8", 2]
 """Fields of a directory: type of the elements, and dimensions. A fourth entry is the number of columns, if it is a
 constant; ``Annotated[np.ndarray, "float64", 2, 8]`` has eight. A field may also be a directory itself:
 ``Annotated[Any, KIND]`` with its :class:`TablesType`."""

@@ -192,11 +192,6 @@ class TwinEnv(EcoDrivingBase):
         """
         self.require_open()
         missing = [name for name in _ENTRIES if name not in state]
-        if missing and set(missing) <= {"settings", "plays"}:
-            raise IzooError(
-                "the saved state does not say of which contexts and settings it is, so an earlier version of izoo "
-                "saved it; go on with that version, or begin anew with reset()."
-            )
         if missing:
             raise IzooError(f"the saved state has no {', '.join(missing)}; give what state_dict() returned.")
         counts = {len(state[name]) for name in _ENTRIES[1:]}

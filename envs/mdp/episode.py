@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,12 +21,10 @@ from izoo.envs.mdp.snapshot import Scene
 from izoo.envs.mdp.state import (
     ENTERED,
     WORLD,
-    Frame,
     World,
     constants_of,
     demand_records,
     empty_tables,
-    with_double_rows,
     working_memory,
 )
 from izoo.envs.mdp.step import count_unfinished, make_frame, translate_frame_actions
@@ -84,12 +83,11 @@ class Episode:
         weights: the emission surrogates.
         context, seed, number: what is played.
         road, traffic: the context's net, and the vehicles of the episode.
-        capacity: minimum number of rows of the tables, which grow where vehicles are admitted by :meth:`admit`.
         entry_lanes: see :class:`~izoo.envs.mdp.state.World`.
 
     Attributes:
         tables: :class:`~izoo.envs.mdp.state.Tables`.
-        world_at: address of the :class:`~izoo.envs.mdp.state.World`, for compiled code; it changes when tables grow.
+        world_at: address of the :class:`~izoo.envs.mdp.state.World`, for compiled code.
 
     Raises:
         IzooError: the intersection has more approaches or exits than the frame has rows.
@@ -105,7 +103,6 @@ class Episode:
         number: int,
         road: RoadNet,
         traffic: Traffic,
-        capacity: int = 0,
         entry_lanes: np.ndarray = _NO_LANES,
     ) -> None:
         ways = max(road.movement_turn.shape)
@@ -120,18 +117,14 @@ class Episode:
         self._weights = weights
         demand = demand_records(config, context, road, traffic, weights)
         self._world = World(
-            tables=empty_tables(config, road, demand, capacity),
+            tables=empty_tables(config, road, demand),
             work=working_memory(config, road),
-            frame=Frame(*(frame[name] for name in Frame._fields)),
+            frame=SimpleNamespace(**frame),
             road=road_tables(road),
             clock=clock_tables(road.clock),
             entry_lanes=entry_lanes,
             **constants_of(config, context, road, traffic, weights),
         )
-        self._bind()
-
-    def _bind(self) -> None:
-        """Note where the arrays are."""
         self.tables = self._world.tables
         self._directory = directory(self._world, WORLD)
         self.world_at = self._directory.ctypes.data
@@ -171,10 +164,6 @@ class Episode:
     def admit(self, number: int, accel_mps2: float, counted: bool = True) -> int:
         """Admit a vehicle that has entered the region; return its row (:func:`izoo.envs.mdp.slots.admit`)."""
         row = int(admit_vehicle(self.world_at, number, accel_mps2, counted))
-        if row < 0:
-            self._world = self._world._replace(tables=with_double_rows(self.tables))
-            self._bind()
-            return self.admit(number, accel_mps2, counted)
         if not counted:
             # It may be in the junction already, or behind it: the length of its way there follows from its exit.
             approach, leaving = self.tables.vehicles["approach"][row], self.tables.vehicles["exit"][row]
@@ -260,7 +249,7 @@ class Episode:
         if not self._yielding and not rows:
             return
         if self._yielding:
-            self.tables.vehicles["yielding"] = 0
+            self.tables.vehicles["yielding"][self.members] = 0
         self.tables.vehicles["yielding"][rows] = 1
         self._yielding = len(rows)
 

@@ -25,7 +25,7 @@ def first_sums(world):  # type: ignore[no-untyped-def]
 
 @compiled
 def admit(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
-    """Give a vehicle that has entered the region a row, and a CV an agent slot; return the row, -1 if all are taken.
+    """Give a vehicle that has entered the region a row, and a CV an agent slot; return the row.
 
     A CV for which no slot is free, or whose row is not emitted, is left to its own driver and counted.
 
@@ -36,11 +36,9 @@ def admit(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
         counted: whether it entered after the warm-up.
     """
     tables = world.tables
-    row, capacity = 0, tables.vehicles.shape[0] - 1
-    while row < capacity and tables.vehicles[row].present:
+    row = 0
+    while tables.vehicles[row].present:  # there is a row for every vehicle of the demand
         row += 1
-    if row == capacity:
-        return -1
     vehicle, demand = tables.vehicles[row], tables.demand[number]
     blocked = tables.blocked[demand.approach]
     vehicle.present = vehicle.fresh = 1

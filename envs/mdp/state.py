@@ -13,16 +13,16 @@ from izoo.envs.config import SCOPES, SPEED, STEP, EnvConfig
 from izoo.envs.mdp.blocked_demand import NEVER, cohort_of, earliest_arrivals, idle_rates
 from izoo.envs.mdp.columns import Vehicle
 from izoo.envs.mdp.displacement import ROAD
+from izoo.envs.mdp.frame import frame_types
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
 from izoo.envs.mdp.observation import neighbour_columns, observed_table
 from izoo.envs.mdp.reward import INDIVIDUAL, SHARED, TERMS, RewardConfig
 from izoo.envs.mdp.signals import CLOCK, Shown
 from izoo.envs.mdp.units import Units, human_units
-from izoo.envs.tables import Byte1, Float1, Float2, Int1, Long1, Single1, Single2, opener, tables_type
+from izoo.envs.tables import Byte1, Float1, Float2, Int1, Long1, Single2, TablesType, opener, tables_type
 from izoo.networks.road import LEAVING, RoadNet
 from izoo.traffic.sampling import Traffic
 
-MIN_CAPACITY = 256
 EVERY_STEP, ONCE, ONCE_AND_BEHIND = range(len(SCOPES))
 """Values of ``rules.scope``."""
 FREE, FREED = -1, -2
@@ -56,13 +56,13 @@ Blocked = np.dtype([(name, "f8") for name in ("vehicles", "idle_gps", "step_vehi
 
 
 class Tables(NamedTuple):
-    """What changes in an environment with room for ``C`` vehicles and ``A`` agents on ``L`` lanes.
+    """What changes in an environment with ``N`` vehicles in the demand, ``A`` agent slots and ``L`` lanes.
 
     Attributes:
         cursor: a record, :data:`Cursor`.
-        vehicles: ``[C + 1]``, a record per vehicle (:mod:`izoo.envs.mdp.columns`); the last is that of a vehicle that
+        vehicles: ``[N + 1]``, a record per vehicle (:mod:`izoo.envs.mdp.columns`); the last is that of a vehicle that
             idles, working memory of the reward.
-        terms: ``[C + 1, T]`` individual reward terms; a leaver's are used once more.
+        terms: ``[N + 1, T]`` individual reward terms; a leaver's are used once more.
         sums: ``[2 * P, M]`` metrics of each approach; the second half receives the sums of the steps after the horizon,
             which are discarded.
         episode: ``[E]`` metrics.
@@ -71,10 +71,10 @@ class Tables(NamedTuple):
             -1 for all other slots.
         stage: ``[A]`` 0 has not decided yet, 1 decided before the stop line, 2 behind it.
         decision, deferred: ``[A, D]`` and ``[A]`` the agent's last action, and whether it is left to its driver.
-        members: ``[C + 1]`` rows of the vehicles in the region, in order of arrival.
-        leavers: ``[C + 1]`` rows whose vehicle left in this step; they hold its last state.
-        wrong_lane_agents: ``[C + 1]`` agents' rows on a lane that does not lead to their exit.
-        order, lane_start: ``[C + 1]`` and ``[L + 1]``, the members sorted by lane and position.
+        members: ``[N + 1]`` rows of the vehicles in the region, in order of arrival.
+        leavers: ``[N + 1]`` rows whose vehicle left in this step; they hold its last state.
+        wrong_lane_agents: ``[N + 1]`` agents' rows on a lane that does not lead to their exit.
+        order, lane_start: ``[N + 1]`` and ``[L + 1]``, the members sorted by lane and position.
         demand: ``[N]``, a record per vehicle of the episode, :data:`Demand`. blocked: ``[P]``, :data:`Blocked`.
         signal: ``[P, Q]``, the present state of the signals, :data:`~izoo.envs.mdp.signals.Shown`.
     """
@@ -99,9 +99,9 @@ class Tables(NamedTuple):
     signal: Annotated[np.ndarray, Shown, 2]
 
 
-def empty_tables(config: EnvConfig, road: RoadNet, demand: np.ndarray, capacity: int = 0) -> Tables:
-    """Return tables without vehicles, with room for ``capacity`` or more."""
-    c, a = max(MIN_CAPACITY, config.num_vehicles, capacity) + 1, config.num_agents
+def empty_tables(config: EnvConfig, road: RoadNet, demand: np.ndarray) -> Tables:
+    """Return tables without vehicles, with room for all of the demand."""
+    c, a = len(demand) + 1, config.num_agents
     return Tables(
         cursor=np.zeros((), Cursor),
         vehicles=np.zeros(c, Vehicle),
@@ -122,13 +122,6 @@ def empty_tables(config: EnvConfig, road: RoadNet, demand: np.ndarray, capacity:
         blocked=np.zeros(len(road.approaches), Blocked),
         signal=np.zeros(road.movement_turn.shape, Shown),
     )
-
-
-def with_double_rows(tables: Tables) -> Tables:
-    """Return copies of the tables with twice the rows."""
-    per_row = ("vehicles", "terms", "members", "leavers", "wrong_lane_agents", "order")
-    longer = {name: np.concatenate([old := getattr(tables, name), np.zeros_like(old)]) for name in per_row}
-    return tables._replace(**longer)
 
 
 class Work(NamedTuple):
@@ -246,40 +239,17 @@ def _exit_limits(road: RoadNet) -> np.ndarray:
     return limits
 
 
-class Frame(NamedTuple):
-    """The frame's arrays that compiled code reads or writes in every step (:mod:`izoo.envs.mdp.frame`)."""
-
-    action: Single2
-    defer: Byte1
-    lane_change: Long1
-    observation: Single2
-    mask: Byte1
-    decides: Byte1
-    number: Long1
-    agent_vehicle: Long1
-    agent_terminated: Byte1
-    agent_done: Byte1
-    reward: Single1
-    reward_vector: Single2
-    team_reward: Single1
-    vehicle_floats: Single2
-    vehicle_ints: Annotated[np.ndarray, "int32", 2]
-    vehicle_flags: Annotated[np.ndarray, "uint8", 2]
-    signal_colour: Annotated[np.ndarray, "int32", 2]
-    signal_time_left_s: Single2
-    approach_metrics: Single2
-    episode_metrics: Single1
-
-
-TABLES, WORK, FRAME = tables_type(Tables), tables_type(Work), tables_type(Frame)
+TABLES, WORK = tables_type(Tables), tables_type(Work)
+FRAME = TablesType("Frame", tuple(frame_types()), constant=False)
 
 
 class World(NamedTuple):
     """Everything about an episode, as views for compiled code.
 
     Attributes:
-        tables, work, frame, road, clock: :class:`Tables`, :class:`Work`, :class:`Frame`,
-            :class:`~izoo.envs.mdp.displacement.Road`, :class:`~izoo.envs.mdp.signals.Clock`.
+        tables, work, road, clock: :class:`Tables`, :class:`Work`, :class:`~izoo.envs.mdp.displacement.Road`,
+            :class:`~izoo.envs.mdp.signals.Clock`.
+        frame: the arrays of one environment's frame, by name (:mod:`izoo.envs.mdp.frame`).
         rules: a record, :data:`Rules`.
         weights, shared_weights: ``[T]`` and ``[S]`` of the reward's terms.
         unit_g: ``[P]`` CO2 of a human-driven vehicle of each approach.

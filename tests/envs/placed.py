@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,6 @@ from izoo.envs.mdp.signals import clock_tables, read_clock
 from izoo.envs.mdp.state import (
     WORLD,
     Demand,
-    Frame,
     Rules,
     World,
     empty_tables,
@@ -27,6 +27,7 @@ from izoo.envs.tables import compiled, directory
 from izoo.networks.road import RoadNet
 
 STEP_S = 0.5
+CAPACITY = 64
 RIGHT_BLINKER, LEFT_BLINKER = 1, 2
 REPORTED = ("region_lane", "lane_position_m", "reported_speed_mps", "signals")
 
@@ -48,7 +49,7 @@ class Scene:
 
     def __init__(self, road: RoadNet) -> None:
         self.road = road
-        self.tables = empty_tables(EnvConfig(), road, np.zeros(0, Demand))
+        self.tables = empty_tables(EnvConfig(), road, np.zeros(CAPACITY, Demand))
         self.vehicles = self.tables.vehicles
         self.rows: list[int] = []
         self.reading: list[tuple[int, float, float, int]] = []
@@ -90,7 +91,7 @@ class Scene:
         return World(
             tables=self.tables._replace(agent_row=np.array(agents, np.int64)),
             work=working_memory(config, self.road),
-            frame=Frame(*(frame[name] for name in Frame._fields)),
+            frame=SimpleNamespace(**frame),
             road=road_tables(self.road),
             clock=clock_tables(self.road.clock),
             rules=rules,

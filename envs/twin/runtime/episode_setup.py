@@ -88,9 +88,7 @@ class TwinRun:
         driving.move_to(desk)
         self.config, self.play, self.driving = config, play, driving
         edges = entry_edges(road, play.context.demand_approaches, config.step_s)
-        # A row for every vehicle of the demand: compiled code cannot let tables grow.
-        rows, lanes = len(traffic), _lanes_of(edges, names)
-        self.episode = Episode(config, frame, weights, *play, road, traffic, rows, lanes)
+        self.episode = Episode(config, frame, weights, *play, road, traffic, _lanes_of(edges, names))
         self.addresses = (self.episode.world_at, *driving.addresses)
         self._enter_all(names, road)
 
