@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, MIN_SHARE
-from izoo.envs.mdp.metric_sums import METRIC
 from izoo.envs.tables import compiled
 from izoo.networks.road import APPROACHING, INSIDE
 
@@ -15,11 +14,6 @@ harder than this: it is slowed to find a gap, and a command would override that.
 TOP_SPEED_MPS = 200.0 / 3.6
 """Maximum speed of an uncommanded vehicle: the default of its class, above all limits that nets have."""
 _CAP_BRAKING_MPS2 = 1.5
-_AGENT_STEPS = METRIC["agent_steps"]
-_DEFERRED_STEPS = METRIC["deferred_steps"]
-_NAN_ACTIONS = METRIC["nan_actions"]
-_LANE_CHANGE_DEFERRED = METRIC["lane_change_deferred"]
-_JUNCTION_DEFERRED = METRIC["junction_deferred"]
 
 
 @compiled
@@ -38,7 +32,7 @@ def plan_commands(world, base):  # type: ignore[no-untyped-def]
     Returns:
         How many rows have a new command, how many are released, and how many have a new maximum speed: none.
     """
-    tables, work, rules, sums = world.tables, world.work, world.rules, world.tables.sums
+    tables, work, rules = world.tables, world.work, world.rules
     action, defer = tables.decision, tables.deferred
     commands, releases = 0, 0
     for a in range(tables.agent_row.shape[0]):
@@ -46,19 +40,19 @@ def plan_commands(world, base):  # type: ignore[no-untyped-def]
         if r < 0:
             continue
         vehicle = tables.vehicles[r]
-        p = base + vehicle.approach
-        sums[p, _AGENT_STEPS] += 1
+        sums = tables.sums[base + vehicle.approach]
+        sums.agent_steps += 1
         is_new = tables.acting[a] < 0
         is_nan = not is_new and np.isnan(action[a, 0])
         deferred = is_new or defer[a] != 0
         if is_nan:
-            sums[p, _NAN_ACTIONS] += 1
+            sums.nan_actions += 1
         inside = vehicle.location == INSIDE
         if not deferred and not is_nan:
-            sums[p, _LANE_CHANGE_DEFERRED] += vehicle.yielding
-            sums[p, _JUNCTION_DEFERRED] += inside
+            sums.lane_change_deferred += vehicle.yielding
+            sums.junction_deferred += inside
         if is_nan or deferred or vehicle.yielding or inside:
-            sums[p, _DEFERRED_STEPS] += 1
+            sums.deferred_steps += 1
             vehicle.deferred = 1
             if vehicle.commanded:
                 vehicle.commanded = 0
@@ -95,7 +89,7 @@ def plan_caps(world, base):  # type: ignore[no-untyped-def]
     Returns:
         How many rows have a new command, how many are released, and how many have a new maximum speed.
     """
-    tables, work, rules, sums = world.tables, world.work, world.rules, world.tables.sums
+    tables, work, rules = world.tables, world.work, world.rules
     action, defer = tables.decision, tables.deferred
     commands, releases, caps = 0, 0, 0
     for a in range(tables.agent_row.shape[0]):
@@ -103,18 +97,18 @@ def plan_caps(world, base):  # type: ignore[no-untyped-def]
         if r < 0:
             continue
         vehicle = tables.vehicles[r]
-        p = base + vehicle.approach
-        sums[p, _AGENT_STEPS] += 1
+        sums = tables.sums[base + vehicle.approach]
+        sums.agent_steps += 1
         before_line = vehicle.location == APPROACHING
         share = action[a, 0 if before_line else action.shape[1] - 1]
         is_new = tables.acting[a] < 0
         if not is_new and np.isnan(share):
-            sums[p, _NAN_ACTIONS] += 1
+            sums.nan_actions += 1
         free = is_new or defer[a] != 0 or not share < 1.0
         vehicle.deferred = free
         speed, max_speed, slowing = vehicle.speed_mps, TOP_SPEED_MPS, False
         if free:
-            sums[p, _DEFERRED_STEPS] += 1
+            sums.deferred_steps += 1
         else:
             limit = world.exit_limit_mps[vehicle.exit]
             if before_line:

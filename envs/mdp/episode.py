@@ -14,7 +14,7 @@ from izoo.envs.config import STEP, EnvConfig
 from izoo.envs.mdp.blocked_demand import blocked_s
 from izoo.envs.mdp.columns import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.envs.mdp.displacement import road_tables
-from izoo.envs.mdp.metric_sums import EPISODE_METRIC, METRIC, MOVEMENTS, OF_COHORT
+from izoo.envs.mdp.metric_sums import MOVEMENTS, OF_COHORT
 from izoo.envs.mdp.signals import clock_tables
 from izoo.envs.mdp.slots import admit_vehicle, release_vehicle
 from izoo.envs.mdp.snapshot import Scene
@@ -132,7 +132,7 @@ class Episode:
     @property
     def steps(self) -> int:
         """Steps since the first frame."""
-        return int(self.tables.episode[EPISODE_METRIC["steps"]])
+        return int(self.tables.episode["steps"])
 
     @property
     def started_s(self) -> float:
@@ -223,10 +223,10 @@ class Episode:
 
     def count_collision(self, row: int) -> None:
         """Count a collision; ``row`` is that of the rear vehicle."""
-        column = METRIC["collisions_cv" if self.tables.vehicles["is_cv"][row] else "collisions_hdv"]
+        name = "collisions_cv" if self.tables.vehicles["is_cv"][row] else "collisions_hdv"
         if self.steps < self.config.control_steps:
-            self.tables.sums[self.tables.vehicles["approach"][row], column] += 1
-        self.tables.episode[EPISODE_METRIC["collisions"]] += 1
+            self.tables.sums[name][self.tables.vehicles["approach"][row]] += 1
+        self.tables.episode["collisions"] += 1
 
     def write_frame(self, reading: Reading, all_left: Callable[[], bool]) -> np.ndarray:
         """Write the frame after a step, from the members' present positions.
@@ -272,7 +272,9 @@ class Episode:
     @property
     def _sums(self) -> np.ndarray:
         """Metrics of each approach, ``[P, M]``."""
-        return self.tables.sums[: self.config.num_approaches]
+        return self.tables.sums.view(np.float64).reshape(2 * self.config.num_approaches, -1)[
+            : self.config.num_approaches
+        ]
 
     def _complete_horizon_sums(self, ending: DemandAtHorizon) -> None:
         """Complete the sums that stop at the horizon."""
@@ -298,10 +300,13 @@ class Episode:
     def _add_to_sums(self, name: str, numbers: np.ndarray, values: np.ndarray | float) -> None:
         """Add values of vehicles of the demand to a sum of their approaches, and of their movements."""
         approach = self.traffic.approach[numbers]
-        np.add.at(self.tables.sums[:, METRIC[name]], approach, values)
+        np.add.at(self.tables.sums[name], approach, values)
         if name in OF_COHORT:
             turn = self.road.movement_turn[approach, self.traffic.exit[numbers]]
-            np.add.at(self.tables.sums, (approach, METRIC[f"{MOVEMENTS[0]}_{name}"] + turn), values)
+            values = np.broadcast_to(values, turn.shape)
+            for number, movement in enumerate(MOVEMENTS):
+                chosen = turn == number
+                np.add.at(self.tables.sums[f"{movement}_{name}"], approach[chosen], values[chosen])
 
     def scene(self) -> Scene:
         """Return copies of the present state."""

@@ -7,19 +7,15 @@ vehicle in a leaver's place; the lowest free number is used first.
 
 from __future__ import annotations
 
-from izoo.envs.mdp.metric_sums import EPISODE_METRIC, METRIC, record_entry
+from izoo.envs.mdp.metric_sums import record_entry
 from izoo.envs.mdp.state import BLOCKED, ENTERED, FREE, FREED, open_world
 from izoo.envs.tables import compiled
-
-_STEPS = EPISODE_METRIC["steps"]
-_UNSLOTTED = EPISODE_METRIC["unslotted"]
-_COHORT_LEFT = METRIC["cohort_left"]
 
 
 @compiled
 def first_sums(world):  # type: ignore[no-untyped-def]
     """Return the first row of ``tables.sums`` for the coming step: after the horizon, of those that are discarded."""
-    before_horizon = world.tables.episode[_STEPS] < world.rules.control_steps
+    before_horizon = world.tables.episode.steps < world.rules.control_steps
     return 0 if before_horizon else world.tables.sums.shape[0] // 2
 
 
@@ -55,10 +51,10 @@ def admit(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
         blocked.vehicles -= 1.0
         blocked.idle_gps -= demand.idle_gps
     demand.status, demand.row = ENTERED, row
-    demand.arrival_step = int(tables.episode[_STEPS])
+    demand.arrival_step = int(tables.episode.steps)
     tables.members[tables.cursor.members] = row
     tables.cursor.members += 1
-    record_entry(vehicle, first_sums(world), tables.sums)
+    record_entry(vehicle, tables.sums[first_sums(world) + demand.approach])
     if demand.is_cv:
         _assign_slot(row, tables, world.rules.num_vehicles)
     return row
@@ -72,7 +68,7 @@ def _assign_slot(row, tables, num_vehicles):  # type: ignore[no-untyped-def]
                 tables.agent_row[slot], tables.vehicles[row].agent = row, slot
                 tables.stage[slot] = 0
                 return
-    tables.episode[_UNSLOTTED] += 1
+    tables.episode.unslotted += 1
 
 
 @compiled
@@ -90,7 +86,7 @@ def release(world, row):  # type: ignore[no-untyped-def]
     tables.leavers[tables.cursor.leavers] = row
     tables.cursor.leavers += 1
     tables.demand[vehicle.vehicle_number].row = -1
-    tables.sums[vehicle.approach, _COHORT_LEFT] += vehicle.cohort
+    tables.sums[vehicle.approach].cohort_left += vehicle.cohort
 
 
 @compiled

@@ -14,7 +14,7 @@ from izoo.envs.mdp.blocked_demand import NEVER, cohort_of, earliest_arrivals, id
 from izoo.envs.mdp.columns import Vehicle
 from izoo.envs.mdp.displacement import ROAD
 from izoo.envs.mdp.frame import frame_types
-from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
+from izoo.envs.mdp.metric_sums import EpisodeSums, Sums
 from izoo.envs.mdp.observation import neighbour_columns, observed_table
 from izoo.envs.mdp.reward import INDIVIDUAL, SHARED, TERMS, RewardConfig
 from izoo.envs.mdp.signals import CLOCK, Shown
@@ -63,9 +63,9 @@ class Tables(NamedTuple):
         vehicles: ``[N + 1]``, a record per vehicle (:mod:`izoo.envs.mdp.columns`); the last is that of a vehicle that
             idles, working memory of the reward.
         terms: ``[N + 1, T]`` individual reward terms; a leaver's are used once more.
-        sums: ``[2 * P, M]`` metrics of each approach; the second half receives the sums of the steps after the horizon,
-            which are discarded.
-        episode: ``[E]`` metrics.
+        sums: ``[2 * P]``, a record of the metrics of each approach; the second half receives those of the steps after
+            the horizon, which are discarded.
+        episode: a record of the episode's metrics.
         agent_row: ``[A]`` row behind each agent slot, below 0 where it is empty (:data:`FREE`, :data:`FREED`).
         acting: ``[A]`` rows of the agents that were there when the decision began and still were when the step began;
             -1 for all other slots.
@@ -82,8 +82,8 @@ class Tables(NamedTuple):
     cursor: Annotated[np.ndarray, Cursor, 0]
     vehicles: Annotated[np.ndarray, Vehicle, 1]
     terms: Float2
-    sums: Float2
-    episode: Float1
+    sums: Annotated[np.ndarray, Sums, 1]
+    episode: Annotated[np.ndarray, EpisodeSums, 0]
     agent_row: Long1
     acting: Long1
     stage: Byte1
@@ -106,8 +106,8 @@ def empty_tables(config: EnvConfig, road: RoadNet, demand: np.ndarray) -> Tables
         cursor=np.zeros((), Cursor),
         vehicles=np.zeros(c, Vehicle),
         terms=np.zeros((c, len(INDIVIDUAL))),
-        sums=np.zeros((2 * config.num_approaches, len(APPROACH_METRICS))),
-        episode=np.zeros(len(EPISODE_METRICS)),
+        sums=np.zeros(2 * config.num_approaches, Sums),
+        episode=np.zeros((), EpisodeSums),
         agent_row=np.full(a, FREE),
         acting=np.full(a, -1),
         stage=np.zeros(a, np.uint8),

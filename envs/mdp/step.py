@@ -16,7 +16,8 @@ from izoo.envs.mdp.commands import plan_caps, plan_commands
 from izoo.envs.mdp.credit import assign_credit, count_blocked
 from izoo.envs.mdp.displacement import update_motion
 from izoo.envs.mdp.metric_sums import (
-    EPISODE_METRIC,
+    APPROACH_METRICS,
+    EpisodeSums,
     accumulate_cohort,
     accumulate_episode,
     accumulate_step,
@@ -32,7 +33,8 @@ from izoo.envs.mdp.state import EVERY_STEP, FREE, ONCE_AND_BEHIND, open_world
 from izoo.envs.tables import compiled
 from izoo.networks.road import APPROACHING
 
-_STEPS = EPISODE_METRIC["steps"]
+_write_floats, _write_ints, _write_flags = map(field_writer, (VEHICLE_FLOATS, VEHICLE_INTS, VEHICLE_FLAGS))
+_write_sums, _write_episode = field_writer(APPROACH_METRICS), field_writer(EpisodeSums.names or ())
 
 
 @compiled
@@ -166,7 +168,7 @@ def finish_step(world, time_s, measured, empty):  # type: ignore[no-untyped-def]
         if rules.scope != EVERY_STEP and (empty or _any_due(tables, rules)):
             tables.cursor.decision_steps = 0
         # The horizon and the end of an episode end a decision, however short.
-        if tables.episode[_STEPS] == rules.control_steps or tables.episode[_STEPS] == rules.total_steps:
+        if tables.episode.steps == rules.control_steps or tables.episode.steps == rules.total_steps:
             tables.cursor.decision_steps = 0
     if tables.cursor.decision_steps == 0:
         write_observations(world)
@@ -220,15 +222,10 @@ def _emit(world):  # type: ignore[no-untyped-def]
             for q in range(tables.signal.shape[1]):
                 out.signal_colour[p, q] = tables.signal[p, q].colour
                 out.signal_time_left_s[p, q] = tables.signal[p, q].change_s
-    for k in range(tables.episode.shape[0]):
-        out.episode_metrics[k] = tables.episode[k]
+    _write_episode(tables.episode, out.episode_metrics, 0)
     if rules.emit_metrics:
         for p in range(out.approach_metrics.shape[0]):
-            for k in range(tables.sums.shape[1]):
-                out.approach_metrics[p, k] = tables.sums[p, k]
-
-
-_write_floats, _write_ints, _write_flags = map(field_writer, (VEHICLE_FLOATS, VEHICLE_INTS, VEHICLE_FLAGS))
+            _write_sums(tables.sums[p], out.approach_metrics[p], 0)
 
 
 @compiled

@@ -11,7 +11,6 @@ import numpy as np
 
 from izoo.envs.config import KEEP_LANE
 from izoo.envs.mdp.commands import LANE_CHANGE_BRAKING_MPS2
-from izoo.envs.mdp.metric_sums import EPISODE_METRIC
 from izoo.envs.mdp.slots import admit, release
 from izoo.envs.mdp.state import EVERY_STEP, open_world
 from izoo.envs.mdp.step import finish_step, translate_actions, update_vehicles
@@ -21,8 +20,6 @@ from izoo.envs.twin.lane_change.decision import DEFAULT_MODE, ROUTE_ONLY_MODE
 from izoo.envs.twin.runtime.batched_emissions import GROUP, count_classes, emit_group
 from izoo.envs.twin.runtime.layout import DRIVING, open_net, open_state
 from izoo.envs.twin.runtime.prefetch import LINES, NET_AT, STATE_AT, TRAFFIC_AT, WORLD_AT, fetch_some, list_next
-
-_STEPS = EPISODE_METRIC["steps"]
 
 
 @compiled
@@ -221,7 +218,7 @@ def _report(tables, net, state):  # type: ignore[no-untyped-def]
 
 @compiled(inline="always")
 def _conclude(world, addresses, k):  # type: ignore[no-untyped-def]
-    steps = world.tables.episode[_STEPS] + 1.0
+    steps = world.tables.episode.steps + 1.0
     step_s = world.rules.step_s
     state = open_state(addresses[k, STATE_AT])
     playing_out = world.rules.scope != EVERY_STEP and steps > world.rules.control_steps
