@@ -46,7 +46,7 @@ def admit(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
     vehicle.approach, vehicle.exit = demand.approach, demand.exit
     vehicle.agent = vehicle.leader = -1
     vehicle.deferred = vehicle.crossed = vehicle.commanded = vehicle.yielding = 0
-    vehicle.target_mps = vehicle.cap_mps = 0.0
+    vehicle.emission_g = vehicle.target_mps = vehicle.cap_mps = 0.0
     if demand.status == BLOCKED:
         blocked.vehicles -= 1.0
         blocked.idle_gps -= demand.idle_gps

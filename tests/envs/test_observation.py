@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -205,8 +207,7 @@ def test_neighbours_on_lanes_of_another_length(road: RoadNet) -> None:
     """Lanes of one edge end side by side: positions are compared from the end."""
     lengths = road.lane_length.copy()
     lengths[road.lane_ids.index("A2TL_1")] = 190.0
-    scene = Scene(road)
-    scene.lanes = scene.lanes._replace(lane_length=lengths)
+    scene = Scene(dataclasses.replace(road, lane_length=lengths))
     me = scene.put("A2TL_0", 100.0)  # 100 m before the end
     scene.put("A2TL_1", 110.0, speed=1.0)  # 80 m before the end
     scene.put("A2TL_1", 70.0, speed=2.0)  # 120 m before the end
