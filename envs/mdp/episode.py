@@ -34,7 +34,7 @@ from izoo.networks.road import RoadNet
 from izoo.traffic.sampling import Traffic
 
 Reading = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""Region lane, lane position in m, speed in m/s and signal bits, ``[n]`` each."""
+"""Of the members, ``[n]`` each: region lane (int64), lane position in m, speed in m/s (float64), signal bits (int64)."""
 
 
 _NO_LANES = np.empty(0, np.int32)
@@ -184,8 +184,7 @@ class Episode:
         self.tables.cursor["started_s"] = started_s
         demand = self.tables.demand
         demand["status"][early], demand["arrival_step"][early], demand["early"][early] = ENTERED, 0, 1
-        self._report(reading)
-        make_frame(self.world_at, self._weights, started_s, False, False)
+        make_frame(self.world_at, reading, self._weights, started_s, False, False)
         self._write_context()
         for name in ("agent_truncated", "terminated", "truncated", "done", "approach_metrics"):
             self.frame[name][:] = 0
@@ -193,14 +192,6 @@ class Episode:
     def resume(self) -> None:
         """Resume an episode whose tables and frame were restored from outside."""
         self._world.work.written[:] = 1
-
-    def _report(self, reading: Reading) -> None:
-        """Write the simulator's report to the members' records."""
-        rows = self.members
-        for name, values in zip(
-            ("region_lane", "lane_position_m", "reported_speed_mps", "signals"), reading, strict=True
-        ):
-            self.tables.vehicles[name][rows] = values
 
     def commands(self) -> StepCommands:
         """Return the commands for the coming step, from the frame's actions.
@@ -240,8 +231,7 @@ class Episode:
         """
         playing_out = self.config.decide != STEP and self.steps >= self.config.control_steps
         time_s = self.started_s + (self.steps + 1) * self.config.step_s
-        self._report(reading)
-        make_frame(self.world_at, self._weights, time_s, True, playing_out and all_left())
+        make_frame(self.world_at, reading, self._weights, time_s, True, playing_out and all_left())
         return self.tables.wrong_lane_agents[: self.tables.cursor["wrong_lane_agents"]]
 
     def mark_yielding(self, rows: Sequence[int]) -> None:

@@ -177,9 +177,14 @@ def finish_step(world, time_s, measured, empty):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def make_frame(world_at, surrogate, time_s, measured, empty):  # type: ignore[no-untyped-def]
-    """Turn a simulator's report into the next frame."""
+def make_frame(world_at, reading, surrogate, time_s, measured, empty):  # type: ignore[no-untyped-def]
+    """Turn a simulator's report into the next frame; ``reading`` is an :data:`~izoo.envs.mdp.episode.Reading`."""
     world = open_world(world_at)
+    lane, position, speed, signals = reading
+    for j in range(world.tables.cursor.members):
+        vehicle = world.tables.vehicles[world.tables.members[j]]
+        vehicle.region_lane, vehicle.lane_position_m = lane[j], position[j]
+        vehicle.reported_speed_mps, vehicle.signals = speed[j], signals[j]
     update_vehicles(world)
     compute_emissions(world, surrogate)
     finish_step(world, time_s, measured, empty)

@@ -106,8 +106,8 @@ class TwinRun:
     def _reading(self) -> Reading:
         """Return where the members are."""
         vehicles = self.driving.state.vehicles[self.episode.tables.vehicles["vehicle_number"][self.episode.members]]
-        region = self.driving.net.lanes["region"][vehicles["lane"]]
-        return region, vehicles["position"], vehicles["speed"], vehicles["signals"]
+        region = self.driving.net.lanes["region"][vehicles["lane"]].astype(np.int64)
+        return region, vehicles["position"].copy(), vehicles["speed"].copy(), vehicles["signals"].astype(np.int64)
 
     def end_step(self) -> None:
         """Complete the sums at the horizon and at the end; say so where vehicles were not driven as in SUMO."""
