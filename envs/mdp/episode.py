@@ -34,7 +34,7 @@ from izoo.networks.road import RoadNet
 from izoo.traffic.sampling import Traffic
 
 Reading = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""Of the members, ``[n]`` each: region lane (int64), lane position in m, speed in m/s (float64), signal bits (int64)."""
+"""Of the members, ``[n]`` each: region lane (int64), lane position in m, speed in m/s (float64), signals (int64)."""
 
 
 _NO_LANES = np.empty(0, np.int32)
