@@ -274,4 +274,4 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
 
 
 parallel_env = EcoDrivingParallel
-"""The name under which libraries look for what makes a PettingZoo environment."""
+"""PettingZoo's name for what makes an environment."""

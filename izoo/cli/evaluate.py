@@ -124,8 +124,8 @@ def _task(config: EvaluateConfig) -> str:
     contexts = config.contexts
     if config.task is None:
         cities = getattr(contexts, "city", "")
-        place = "all ten" if cities is None else cities if isinstance(cities, str) else "+".join(cities)
-        parts = [contexts.name, place, getattr(contexts, "split", None)]
+        place = cities if isinstance(cities, str) else "+".join(cities or ())
+        parts = ["all ten cities" if cities is None else contexts.name, place, getattr(contexts, "split", None)]
         return " ".join(str(part) for part in parts if part)
     task = tasks.make(config.task)
     whole = to_mapping(task.test)

@@ -7,6 +7,7 @@ from typing import Literal
 
 from izoo.conf.own_traffic import SourceConfig
 from izoo.contexts import catalogue
+from izoo.contexts.cities.rebuilt import city_name
 from izoo.contexts.source import ContextSource
 from izoo.errors import IzooError
 
@@ -46,6 +47,10 @@ class CityContexts(SourceConfig):
     approaches: Literal["one", "all"] = "one"
     weather: Literal["county", "published"] = "county"
     cv_vehicle: Literal["paper", "human"] = "paper"
+
+    def __post_init__(self) -> None:
+        for city in [self.city] if isinstance(self.city, str) else self.city or ():
+            city_name(city)
 
     def source(self) -> ContextSource:
         """Return the scenarios, lazily; raises :class:`IzooError` where none is left."""

@@ -15,8 +15,7 @@ import pandas as pd
 
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import CONTEXT, by_intersection, pair
-from izoo.metrics.statistics import CONFIDENCE, Estimate, typical
-from izoo.metrics.student import student_t_below, student_t_quantile
+from izoo.metrics.statistics import CONFIDENCE, Estimate, student_t_below, student_t_quantile, typical
 
 EPISODE_SEEDS = "episode seeds"
 MIN_EPISODE_SEEDS = 5

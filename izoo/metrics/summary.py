@@ -12,7 +12,7 @@ import pandas as pd
 
 from izoo.errors import IzooError
 from izoo.metrics.episode_seeds import EPISODE_SEEDS, over_episode_seeds
-from izoo.metrics.figures import FIGURES
+from izoo.metrics.figures import FIGURES, HEADLINE
 from izoo.metrics.pairing import (
     BASELINES,
     HUMAN,
@@ -59,7 +59,8 @@ def summarise(table: pd.DataFrame, reference: str | None = None, trained_on: pd.
         ``task``, ``simulators`` (the first is the one summed up), ``n`` (numbers of contexts, intersections, episode
         seeds per context and episodes; ``left_out``: names of contexts without demand), ``block`` (the main one),
         ``entries`` by policy, ``pairwise`` differences of CO2 saved, ``gaps`` by policy (the CO2 saved on ``training``
-        contexts, and the generalisation ``gap``: how much more it is), and ``verdict``, a sentence. An entry has
+        contexts, and the generalisation ``gap``: how much more it is), ``cities`` (by city, where there are several,
+        and policy: ``intersections`` and ``figures`` over uncommanded CVs), and ``verdict``, a sentence. An entry has
         ``train_seeds``; ``slower``: whether its delay is shown to be above that of uncommanded CVs; ``against`` by
         baseline and block: ``intersections``, ``contexts``, ``figures`` (:class:`~izoo.metrics.statistics.Estimate`),
         and of CO2 saved ``mean`` and ``median`` (per cent), ``gain_share`` and ``lose_share``; ``levels`` by block and
@@ -94,6 +95,7 @@ def summarise(table: pd.DataFrame, reference: str | None = None, trained_on: pd.
         "entries": entries,
         "pairwise": pairwise,
         "gaps": {} if training is None else _gaps(pairs, _pairs(training), block),
+        "cities": _cities(rows, pairs, block),
         "verdict": verdict(entries, pairwise, block),
     }
 
@@ -291,6 +293,26 @@ def _gaps(test: Pairs, training: Pairs, block: str) -> Summary:
             gap = separate_difference(there, here)
             found[name] = {"training": estimate(there).to_dict(), "gap": gap.to_dict()}
     return found
+
+
+def _cities(rows: pd.DataFrame, pairs: Pairs, block: str) -> Summary:
+    """By city, where there are several, and entry: number of intersections, and figures over uncommanded CVs."""
+    of = rows.drop_duplicates("context_hash").set_index("context_hash")["city"].fillna("")
+    found: Summary = {city: {} for city in sorted(set(of) - {""})}
+    for name, compared in pairs.items():
+        if name in BASELINES or UNCOMMANDED not in compared:
+            continue
+        contexts, own, baseline = compared[UNCOMMANDED]
+        values = {key: FIGURES[key].value(own, baseline) for key in HEADLINE if FIGURES[key].paired}
+        inside = _blocks(contexts).get(block, np.zeros(len(contexts), bool))
+        for city in found:
+            chosen = inside & (contexts["context_hash"].map(of) == city).to_numpy()
+            pools = {key: by_intersection(contexts[chosen], value[chosen])[0] for key, value in values.items()}
+            found[city][name] = {
+                "intersections": int(contexts["intersection"][chosen].nunique()),
+                "figures": {key: estimate(pool).to_dict() for key, pool in pools.items()},
+            }
+    return found if len(found) > 1 and all(found.values()) else {}
 
 
 def _saved(paired: Paired, block: str) -> tuple[pd.DataFrame, np.ndarray]:

@@ -131,13 +131,15 @@ def render(results: Results, *, replay: bool = True, imports: bool = False, note
 def _part(evaluation: Evaluation) -> dict[str, Any]:
     """What the page says of an evaluation in tables."""
     summary, movements = evaluation.summary, movements_table(evaluation)
+    headline, *further = tables.shown_first(summary)
     return {
         "name": evaluation.name,
         "verdict": summary["verdict"],
         "counts": tables.counts(summary),
         "cautions": tables.cautions(summary),
-        "headline": tables.headline(summary).html(),
-        "gaps": tables.gaps(summary).html() if summary["gaps"] else "",
+        "headline": headline.html(),
+        "further": [table.html() for table in further],
+        "pairs": len(summary["pairwise"]),
         "pairwise": tables.pairwise(summary).html() if summary["pairwise"] else "",
         "details": [table.html() for table in tables.details(summary)],
         "left_out": summary["n"]["left_out"],
@@ -155,7 +157,9 @@ def _charts(results: Results) -> dict[str, list[Chart]]:
         values = {
             name: evaluation.contexts(name)[SAVED].dropna() for name in evaluation.policies if name != UNCOMMANDED
         }
-        found["summary"].append(plots.forest(tables.entries(evaluation.summary), f"forest{place}"))
+        if len(tables.compared(evaluation.summary)) > 1:
+            chart = plots.forest(tables.entries(evaluation.summary), f"forest{place}")
+            found["summary"].append(dataclasses.replace(chart, title=plots.figure_label(SAVED)))
         found["summary"].append(dataclasses.replace(plots.profiles(values), name=f"profiles{place}"))
         traded = plots.tradeoff(evaluation.summary)
         found["summary"] += [dataclasses.replace(traded, name=f"tradeoff{place}")] if traded else []

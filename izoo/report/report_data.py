@@ -95,7 +95,7 @@ def collect(folder: Path, partial: bool = False) -> Results:
             f"{folder} holds no results: neither {ROWS_FILE} (izoo.evaluate, a benchmark) nor {METRICS_FILE} "
             "(izoo.train)."
         )
-    if len(found) == 1 and found[0].task and run is None:
+    if len(found) == 1 and found[0].task not in ("", name) and run is None:
         name = f"{name}: {found[0].task}"
     if folder.resolve().parent.name == EVALUATIONS:
         name = f"{folder.resolve().parent.parent.name}: {name}"

@@ -177,11 +177,12 @@ class Table:
 def print_summary(summary: Mapping[str, Any], verbose: bool = False, console: Console | None = None) -> None:
     """Print the headline of a summary, with ``verbose`` everything else, and the verdict."""
     console = console or Console()
-    shown = [*_tables(summary), *(details(summary) if verbose else ())]
-    for table in shown:
-        (table if verbose else table.first(FIRST_ROWS)).show(console)
-    if not verbose and len(shown[0].rows) > FIRST_ROWS:
-        console.print(f"The first {FIRST_ROWS} of {len(shown[0].rows)} rows; -v shows all.", highlight=False)
+    first, *others = [*shown_first(summary), *(details(summary) if verbose else ())]
+    (first if verbose else first.first(FIRST_ROWS)).show(console)
+    if not verbose and len(first.rows) > FIRST_ROWS:
+        console.print(f"The first {FIRST_ROWS} of {len(first.rows)} rows; -v shows all.", highlight=False)
+    for table in others:
+        table.show(console)
     for text in (counts(summary), *cautions(summary), summary["verdict"]):
         console.print(Text(plain(text)))
 
@@ -189,14 +190,15 @@ def print_summary(summary: Mapping[str, Any], verbose: bool = False, console: Co
 def markdown(summary: Mapping[str, Any]) -> str:
     """Return everything that :func:`print_summary` prints, in Markdown."""
     parts = []
-    for table in [*_tables(summary), *details(summary)]:
+    for table in [*shown_first(summary), *details(summary)]:
         parts += [f"{_marked(table.title)}:", table.markdown()]
     return "\n\n".join([*parts, *map(_marked, (counts(summary), *cautions(summary), summary["verdict"]))]) + "\n"
 
 
-def _tables(summary: Mapping[str, Any]) -> list[Table]:
-    """The tables that are always shown."""
-    return [headline(summary), *([gaps(summary)] if summary["gaps"] else [])]
+def shown_first(summary: Mapping[str, Any]) -> list[Table]:
+    """Return the tables that are always shown, the headline first."""
+    further = {"gaps": gaps, "cities": cities}
+    return [headline(summary), *(table(summary) for key, table in further.items() if summary[key])]
 
 
 def headline(summary: Mapping[str, Any]) -> Table:
@@ -267,6 +269,20 @@ def gaps(summary: Mapping[str, Any]) -> Table:
             rows.append((name, _estimate(gap["training"], figure), here, _estimate(gap["gap"], figure, "points")))
     title = f"Generalisation gap, {figure.label} over {UNCOMMANDED}"
     return Table.of(title, ("entry", "training contexts", "test contexts", "gap"), rows)
+
+
+def cities(summary: Mapping[str, Any]) -> Table:
+    """Return a row per city: the main figures of the only entry, or the CO2 that each saves, best first."""
+    entries, rows = next(iter(summary["cities"].values())), []
+    names = [name for name in ranking(summary) if name in entries][:ABREAST]
+    figures = [f for f in HEADLINE if FIGURES[f].paired] if len(names) == 1 else [SAVED]
+    for city, entries in summary["cities"].items():
+        n = max(entry["intersections"] for entry in entries.values())
+        cells = [_estimate(entries[name]["figures"][f], FIGURES[f]) for name in names for f in figures]
+        rows.append((city, n, *cells))
+    labels = [FIGURES[f].label for f in figures]
+    title, headings = ("By city", labels) if len(names) == 1 else (f"{labels[0]} by city", names)
+    return Table.of(f"{title}, over {UNCOMMANDED}", ("city", f"{summary['block']} intersections", *headings), rows)
 
 
 def details(summary: Mapping[str, Any]) -> list[Table]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import gzip
 import json
-import zlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,7 @@ from typing import Any
 from izoo.contexts.context import Context
 from izoo.contexts.population import DriverPopulation
 from izoo.contexts.spec import spec_from_dict
-from izoo.errors import IzooError
-from izoo.files import MOST_UNPACKED_BYTES, read_bytes, unpacked, write_bytes
+from izoo.files import MOST_UNPACKED_BYTES, read_bytes, reading, unpacked, write_bytes
 
 CONTEXTS_FILE = "contexts.json.gz"
 
@@ -35,12 +33,8 @@ def read_contexts(folder: Path) -> dict[str, Context]:
         IzooError: the file is missing or cannot be read.
     """
     path = folder / CONTEXTS_FILE
-    try:
+    with reading(path):
         found = [context_from_dict(entry) for entry in json.loads(unpacked(read_bytes(path, MOST_UNPACKED_BYTES)))]
-    except FileNotFoundError:
-        raise IzooError(f"{folder} has no {CONTEXTS_FILE}, so its episodes cannot be played again.") from None
-    except (OSError, EOFError, zlib.error, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise IzooError(f"{path} cannot be read; remove it and evaluate again.") from error
     return {context.content_hash: context for context in found}
 
 

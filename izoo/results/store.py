@@ -21,7 +21,7 @@ from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.metric_sums import MOVEMENT_METRICS
 from izoo.envs.model_version import MODEL_VERSION
 from izoo.errors import IzooError, check_line
-from izoo.files import claimed, read_text, write_json
+from izoo.files import claimed, read_text, reading, write_json
 from izoo.results.contexts_file import add_contexts
 from izoo.results.rows_file import Row, RowsFile
 from izoo.results.schema import COLUMNS, EPISODE, TEXT, WHOLE, make_table
@@ -212,7 +212,9 @@ def read_manifest(folder: Path | str) -> Manifest:
     if not folder.is_dir():
         raise IzooError(f"{folder}: no such results folder.")
     path = folder / MANIFEST_FILE
-    try:
+    if not path.exists():
+        raise IzooError(f"{folder} is not a results folder: it has no {MANIFEST_FILE}.")
+    with reading(path):
         content = json.loads(read_text(path))
         if content.pop("format") != FORMAT:
             raise IzooError(f"{path} is of another version of izoo; evaluate again into another folder.")
@@ -221,10 +223,6 @@ def read_manifest(folder: Path | str) -> Manifest:
             for name, seeds in content.pop("policies").items()
         }
         return Manifest(**content, policies=policies)
-    except FileNotFoundError:
-        raise IzooError(f"{folder} is not a results folder: it has no {MANIFEST_FILE}.") from None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise IzooError(f"{path} cannot be read ({error}); evaluate again into another folder.") from error
 
 
 def settings(config: EnvConfig) -> dict[str, Any]:

@@ -24,7 +24,7 @@ def folder_of(run_dir: Path) -> Path:
 
 
 def save(run_dir: Path, frames: int, state: dict[str, Any], keep: int) -> Path:
-    """Write ``checkpoints/step-<frames>.pt``, then remove all but the ``keep`` newest.
+    """Write ``checkpoints/step-<frames>.pt``, then :func:`keep_newest`.
 
     Args:
         run_dir: the run.
@@ -33,7 +33,7 @@ def save(run_dir: Path, frames: int, state: dict[str, Any], keep: int) -> Path:
         keep: at least 1.
 
     Raises:
-        OSError: the disk is full or not writable; older checkpoints are untouched.
+        OSError: the disk is full or not writable; other checkpoints are untouched.
     """
     folder = folder_of(run_dir)
     folder.mkdir(exist_ok=True)  # without its parents: a run folder that was removed must not come back half empty
@@ -45,9 +45,16 @@ def save(run_dir: Path, frames: int, state: dict[str, Any], keep: int) -> Path:
             torch.save({"format": FORMAT, "frames": frames, **state}, partial)
     except RuntimeError as error:  # of torch, where a write fails
         raise OSError(errno.EIO, "it was not written whole; is the disk full?", str(path)) from error
-    for old in listed(run_dir)[:-keep]:
-        old.unlink(missing_ok=True)
+    keep_newest(run_dir, frames, keep)
     return path
+
+
+def keep_newest(run_dir: Path, frames: int, keep: int) -> None:
+    """Remove all but the ``keep`` newest checkpoints up to ``frames``; later ones are of a run resumed further back."""
+    paths = listed(run_dir)
+    kept = [path for path in paths if frames_of(path) <= frames][-keep:]
+    for path in {*paths}.difference(kept):
+        path.unlink(missing_ok=True)
 
 
 def listed(run_dir: Path) -> list[Path]:

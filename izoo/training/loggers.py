@@ -19,12 +19,15 @@ FIRST_COLUMNS = (
     *("frames", "seconds", "frames_per_s", "episodes", "return", "reward"),
     *("emission_g_per_vehicle", "throughput_veh_per_episode"),
 )
+IMITATION = "loss_imitation"
+"""The column of rows in which a policy still imitated (:mod:`izoo.algos.learners.imitation`)."""
 SHOWN = (
     ("frames_per_s", "{:.0f} frames/s"),
     ("return", "return {:.1f}"),
     ("emission_g_per_vehicle", "{:.1f} g/veh"),
     ("throughput_veh_per_episode", "{:.0f} veh/episode"),
     ("co2_saved", "{:+.1f} % CO2 saved"),
+    (IMITATION, "imitating, loss {:.2f}"),
     ("validation_co2_saved", "validation {:+.1f} %{}"),
     ("validation_delay_change_s", "delay {:+.1f} s{}"),
 )

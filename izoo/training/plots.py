@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from izoo.files import replacing
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import UNCOMMANDED
-from izoo.training.loggers import MetricsTable
+from izoo.training.loggers import IMITATION, MetricsTable
 
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f4fa0", "#8c564b")
 """Okabe and Ito's colours, which colour-blind readers can tell apart, and two more."""
@@ -46,7 +46,7 @@ Line = tuple[Array, Array]
 
 @dataclass(frozen=True)
 class Series:
-    """One mark of a chart: a line, points, a band, steps, bars or crosses, in data coordinates.
+    """One mark of a chart: a line, points, a band, steps, bars, or a shaded span of x, in data coordinates.
 
     Attributes:
         x, y: ``[N]`` each.
@@ -62,7 +62,7 @@ class Series:
     x: ArrayLike
     y: ArrayLike
     name: str = ""
-    kind: Literal["line", "points", "band", "step", "bars"] = "line"
+    kind: Literal["line", "points", "band", "step", "bars", "span"] = "line"
     low: Sequence[float | None] | Array | None = None
     high: Sequence[float | None] | Array | None = None
     colour: str = PALETTE[0]
@@ -126,7 +126,8 @@ def curves(
 
     Training batches are noisy: lines are running means over a fifth of a run's batches, at most 20. Of several runs of
     one choice thin lines are the runs, the thick one their mean, and a band reaches from the lowest to the highest, as
-    far as all of them have come. A single run's validations have their intervals.
+    far as all of them have come. A single run's validations have their intervals. The steps of
+    imitation are shaded.
 
     Args:
         runs: metrics and, where there are any, validations of the runs of each choice.
@@ -140,15 +141,17 @@ def curves(
     names = dict.fromkeys(name for tables in validations.values() for table in tables for name in table.columns)
     parts = [(name, f"validation: {_label(name)}", validations, 1) for name in names if f"{name}_low" in names]
     parts += [(name, CURVES[name], measured, SMOOTHING_POINTS) for name in columns]
+    ends = [t.series(IMITATION)[0][-1] for of in measured.values() for t in of if t.series(IMITATION)[0]]
+    imitates = [Series([0.0, max(ends)], [0.0, 0.0], "imitation", "span", colour=QUIET)] if ends else []
     charts = []
     for name, label, tables, window in parts:
         kept = {c: [t for t in of if t.series(name)[1]] for c, of in tables.items()}
         series = [mark for c, of in kept.items() for mark in _of_choice(c, of, name, window, tint[c])]
         if series:
-            ends = [f"{c} ends at {t.series(name)[1][-1]:.4g}" for c, of in kept.items() for t in of]
-            alt, kind = f"{label} against {FRAMES}; {'; '.join(ends)}.", "validation-" if window == 1 else ""
+            last = [f"{c} ends at {t.series(name)[1][-1]:.4g}" for c, of in kept.items() for t in of]
+            alt, kind = f"{label} against {FRAMES}; {'; '.join(last)}.", "validation-" if window == 1 else ""
             place = f"curve-{kind}{name.replace('_', '-')}"
-            charts.append(Chart(place, label, series, FRAMES, alt=alt))
+            charts.append(Chart(place, label, [*imitates, *series], FRAMES, alt=alt))
     return charts
 
 
@@ -257,8 +260,12 @@ def _draw_series(axes: Axes, series: Series, label: str, across: bool) -> None:
     if series.kind == "band" and ends is not None:
         axes.fill_between(x, *ends, color=series.colour, alpha=0.18, linewidth=0)
         return
+    if series.kind == "span":
+        axes.axvspan(x[0], x[-1], color=series.colour, alpha=0.18, linewidth=0, label=label)
+        return
     if series.kind == "bars":
         axes.bar(x, y, width=x[1] - x[0] if len(x) > 1 else 1.0, **style)
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
         return
     if ends is not None:
         known = np.isfinite(ends).all(0)

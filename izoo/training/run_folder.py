@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -51,9 +51,11 @@ def created(config: TrainConfig) -> Iterator[Path]:
         IzooError: the folder already holds something, cannot be made, or another process begins a run there.
     """
     label = f"{datetime.now():%Y-%m-%d_%H-%M-%S}-{config.algo.name}-seed{config.seed}"
-    existed = config.run_dir is not None and Path(config.run_dir).exists()
+    wanted = Path(config.run_dir) if config.run_dir else Path.cwd() / "runs" / label
     with usable_paths():
-        run_dir = Path(config.run_dir) if config.run_dir else free_folder(Path.cwd() / "runs" / label)
+        existed = config.run_dir is not None and wanted.exists()
+        above = [folder for folder in wanted.parents if not folder.exists()]
+        run_dir = wanted if config.run_dir else free_folder(wanted)
     ensure_empty(run_dir, "run_dir", "go on with that run: resume=" + str(run_dir))
     with owned(run_dir):
         try:
@@ -62,7 +64,7 @@ def created(config: TrainConfig) -> Iterator[Path]:
             yield run_dir
         except BaseException:
             if not checkpoint.listed(run_dir) and not (run_dir / METRICS_FILE).exists():
-                _remove(run_dir, config, existed)
+                _remove(run_dir, config, above if existed else [run_dir, *above])
             raise
 
 
@@ -77,13 +79,13 @@ def owned(run_dir: Path) -> Iterator[None]:
         yield
 
 
-def _remove(run_dir: Path, config: TrainConfig, existed: bool) -> None:
-    """Remove what a run has put into its folder, and the folder unless it was there before or holds other things."""
+def _remove(run_dir: Path, config: TrainConfig, made: Sequence[Path]) -> None:
+    """Remove what a run has put into its folder, and the folders made for it that hold nothing else."""
     for path in (run_dir / CONFIG_FILE, *(kept for _, kept in _drivers(run_dir, config))):
         path.unlink(missing_ok=True)
     for folder in LOGGER_FOLDERS:
         shutil.rmtree(run_dir / folder, ignore_errors=True)
-    for folder in (checkpoint.folder_of(run_dir), *(() if existed else (run_dir,))):
+    for folder in (checkpoint.folder_of(run_dir), *made):
         with contextlib.suppress(OSError):
             folder.rmdir()
 
@@ -156,7 +158,7 @@ def read_config(run_dir: Path, imports: bool = True) -> TrainConfig:
             raise IzooError(f"{path}: {error}") from error
 
 
-def standing(where: Path) -> tuple[Path, Path | None]:
+def resume_point(where: Path) -> tuple[Path, Path | None]:
     """Return the folder of a run to go on with, and the checkpoint to go on from; ``None``: it has saved none yet.
 
     Args:
@@ -169,8 +171,8 @@ def standing(where: Path) -> tuple[Path, Path | None]:
 
 
 def resumed(where: Path) -> TrainConfig:
-    """Return the options with which a run goes on: its own; see :func:`standing`."""
-    run_dir, _ = standing(where)
+    """Return the options with which a run goes on: its own; see :func:`resume_point`."""
+    run_dir, _ = resume_point(where)
     return dataclasses.replace(read_config(run_dir), run_dir=str(run_dir), resume=str(where))
 
 
@@ -192,7 +194,7 @@ def load_algorithm(where: Path | str) -> tuple[Algorithm, TrainConfig, dict[str,
     return algorithm, config, state
 
 
-def begin_with(algorithm: Algorithm, config: TrainConfig) -> None:
+def start_from(algorithm: Algorithm, config: TrainConfig) -> None:
     """Give an algorithm the policy of the run that the option ``start`` names.
 
     Raises:
@@ -205,7 +207,7 @@ def begin_with(algorithm: Algorithm, config: TrainConfig) -> None:
             f"start={config.start} is a run of algo={theirs.algo.name}, whose policy has other networks than that of "
             f"algo={config.algo.name}; ppo and mappo can begin with each other's, gcrl with its own."
         )
-    here, there = _meaning(config), _meaning(theirs)
+    here, there = _weight_options(config), _weight_options(theirs)
     for what, its in there.items():
         if here.get(what) != its:
             raise IzooError(f"start={config.start} is a run with other options ({what}: {its}); give the same here.")
@@ -213,7 +215,7 @@ def begin_with(algorithm: Algorithm, config: TrainConfig) -> None:
         innermost(algorithm).policy.load_state_dict(state["algorithm"]["policy"])
 
 
-def _meaning(config: TrainConfig) -> dict[str, Any]:
+def _weight_options(config: TrainConfig) -> dict[str, Any]:
     """Return the options that decide what the weights of a run's policy mean, by name."""
     options = to_mapping(config.algo)
     if getattr(config.action, "point_mass", None) is not None:

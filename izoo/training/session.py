@@ -25,6 +25,7 @@ from izoo.training.collectors import BatchSource
 from izoo.training.environments import NUMBERS
 from izoo.training.final_evaluation import compare
 from izoo.training.learner import is_finite
+from izoo.training.loggers import IMITATION
 from izoo.training.prioritized_level_replay import PrioritizedLevelReplay
 from izoo.training.run_state import RunState
 from izoo.training.validation import Validator
@@ -73,9 +74,6 @@ class Session:
             UnfinishedError: the last weights could not be saved.
             KeyboardInterrupt: the run was interrupted; what was learned until then is saved.
         """
-        for path in checkpoint.listed(self.run_dir):
-            if checkpoint.frames_of(path) > self.state.frames:
-                path.unlink()  # given up, as their rows are, where a run is resumed further back
         self.table = loggers.MetricsTable(self.run_dir / run_folder.METRICS_FILE, self.state.frames)
         self.validator = Validator(self.config, self.run_dir, self.state.frames)
         self.sinks = loggers.make_sinks(self.config.logger, self.run_dir)
@@ -87,6 +85,7 @@ class Session:
                 else:
                     print(f"All {self.state.frames:,} frames are there: nothing is left to train.", flush=True)
                     self.state.load(None)
+                    checkpoint.keep_newest(self.run_dir, self.state.frames, self.config.checkpoint.keep)
                 self._save()
                 self._say_unused_slots()
                 self._validate_last(interrupt)
@@ -147,6 +146,7 @@ class Session:
                 loggers.log_all(self.sinks, row)
                 if "validation_frames" in row:  # an interval that it lacks must not be that of an earlier one
                     latest = {name: value for name, value in latest.items() if not name.startswith("validation_")}
+                latest.pop(IMITATION, None)  # shown only while it lasts
                 latest |= row
                 bar.update(self.state.frames, loggers.in_short(latest))
                 if self.state.batches % self.config.checkpoint.every_batches == 0:

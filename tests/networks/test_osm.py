@@ -97,7 +97,7 @@ def test_a_plain_crossing_in_full(tmp_path: Path) -> None:
     assert "length of B" not in spec.imputed and "length of D" in spec.imputed
     assert "lanes of A" in spec.imputed and "lanes of B" not in spec.imputed
     assert {f"{what} of {leg}" for what in ("AADT", "grade") for leg in "ABCD"} <= set(spec.imputed)
-    assert report.approaches == 4 and report.stray_signals == 1 and "built 1 intersection with" in str(report)
+    assert len(spec.approach_names) == 4 and report.stray_signals == 1 and "built 1 intersection with" in str(report)
     contexts = load_dataset(tmp_path / "town", adoption=0.5)
     assert [context.approach for context in contexts] == ["A", "B", "C", "D"]
 
@@ -458,22 +458,13 @@ def test_the_build_is_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_a_damaged_build_is_refused(tmp_path: Path) -> None:
     build(crossing(), tmp_path)
-    target = tmp_path / "town"
-    record = json.loads((target / "1.json").read_text())
+    file = tmp_path / "town" / "1.json"
+    record = json.loads(file.read_text())
     assert "OpenStreetMap" in record["attribution"] and record["streets"]["B"] == "Main Street"
-    (target / "1.json").write_text(json.dumps({**record, "format": "izoo-osm-0"}))
-    with pytest.raises(IzooError, match="not of the format izoo-osm-1"):
-        load_dataset(target)
-    (target / "1.json").write_text(json.dumps({**record, "spec": {"legs": 3}}))
-    with pytest.raises(IzooError, match="is damaged"):
-        load_dataset(target)
-    for text in ("{", 100_000 * "["):
-        (target / "1.json").write_text(text)
-        with pytest.raises(IzooError, match="is damaged"):
-            load_dataset(target)
-    (target / "1.json").unlink()
-    with pytest.raises(IzooError, match="cannot read"):
-        load_dataset(target)
+    for changed, message in (({"format": "izoo-osm-0"}, "not of the format izoo-osm-1"), ({"spec": {}}, "is damaged")):
+        file.write_text(json.dumps({**record, **changed}))
+        with pytest.raises(IzooError, match=message):
+            load_dataset(tmp_path / "town")
 
 
 EXTRACTS = {

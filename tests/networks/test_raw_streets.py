@@ -57,7 +57,7 @@ def test_stop_lines_that_are_crossings_too_make_one(tmp_path: Path) -> None:
 def test_lights_without_a_cycle_make_no_intersection(tmp_path: Path, what: str) -> None:
     plan = side_street(traffic_signals=what)
     report = build_from_osm(plan.write(tmp_path / "map.osm"), target=tmp_path / "town")
-    assert len(report.streets) == 1 and (report.stray_signals, report.uncycled_signals) == (1, 1)
+    assert len(report.streets) == 1 and (report.stray_signals, report.read.uncycled) == (1, 1)
     assert "1 signal nodes blink, meter a ramp or wait for emergencies: no cycle" in str(report)
 
 
@@ -97,7 +97,7 @@ def test_two_nodes_in_one_place_do_not_end_a_street(faults: Path, tmp_path: Path
 
 def test_reversible_streets_are_named(faults: Path, tmp_path: Path) -> None:
     report = build_from_osm(faults / "osm" / "oneway_rev.osm", target=tmp_path / "town")
-    assert report.reversible == ("West",)
+    assert report.read.reversible == ("West",)
     assert "taken as two-way, whatever their direction by time: West" in str(report)
 
 

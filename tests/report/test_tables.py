@@ -54,6 +54,25 @@ def test_the_headline_fits_a_terminal_of_80_columns() -> None:
             assert all(cell.number in text and cell.interval in text for cell in row.cells if isinstance(cell, Cell))
 
 
+@pytest.mark.parametrize(
+    ("policies", "headings"),
+    [({"ppo": (0.06, -1.0, 1)}, ("CO2 saved", "delay added")), (SEVERAL, ("ppo", "glide", "cap_0.6"))],
+)
+def test_several_cities_have_a_row_each(policies: dict, headings: tuple[str, ...]) -> None:
+    made = table(policies)
+    assert summarise(made)["cities"] == {}
+    east = made["context_id"].astype(int) < 8  # places 0 and 4 of them are saturated, as is place 8
+    summary = summarise(made.assign(city=east.map({True: "east", False: "west"})))
+    shown = tables.cities(summary)
+    assert shown.columns == ("city", "unsaturated intersections", *headings)
+    assert [(row.label, row.cells[0]) for row in shown.rows] == [("east", "6"), ("west", "3")]
+    first = shown.rows[0].cells[1]
+    assert isinstance(first, Cell) and first.value == pytest.approx(6.0, abs=1.5) and first.interval
+    out = io.StringIO()
+    tables.print_summary(summary, console=Console(file=out, width=80))
+    assert "east" in out.getvalue() and "east" in tables.markdown(summary)
+
+
 def test_slower_entries_stand_apart_and_the_best_comes_first() -> None:
     shown = tables.headline(summarise(table(SEVERAL)))
     (_, first), (heading, slower) = shown.groups

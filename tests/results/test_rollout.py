@@ -92,23 +92,14 @@ def test_the_nets_of_sumo_are_built_together(tmp_path: Path, monkeypatch: pytest
     assert len(played) == len(list(tmp_path.rglob("*.net.xml"))) == 3
 
 
-def test_random_driver_is_reproducible_in_any_order(contexts: list[Context], cache: Path) -> None:
-    options = {"workers": 0, "progress": False, "cache": cache, "baselines": ()}
-    forward = evaluate_policy("random", contexts, SEEDS, SHORT, **options)
-    backward = evaluate_policy("random", contexts[::-1], SEEDS[::-1], SHORT, **options)
+@pytest.mark.parametrize("make", [drivers.Tiring, drivers.Remembering, drivers.Drawing, drivers.Numpy, str])
+def test_no_policy_plays_otherwise_for_what_it_played_before(make: type, contexts: list[Context], cache: Path) -> None:
+    """One that counts, one with memory, and some that draw from a generator of their own, of numpy or of torch."""
+    options = {"progress": False, "cache": cache, "baselines": (), "workers": 0}
+    forward = evaluate_policy(make() or "random", contexts, SEEDS, SHORT, **options)
+    backward = evaluate_policy(make() or "random", contexts[::-1], SEEDS[::-1], SHORT, **options)
     assert_frame_equal(forward, backward, check_exact=True)
-
-
-@pytest.mark.parametrize("make", [drivers.Tiring, drivers.Remembering, drivers.Drawing, drivers.Numpy])
-def test_no_policy_plays_otherwise_for_what_it_played_before(
-    make: type, contexts: list[Context], cache: Path, tmp_path: Path
-) -> None:
-    """One that counts, one with memory, and one that draws from a generator of its own or of numpy."""
-    options = {"progress": False, "cache": cache, "baselines": ()}
-    forward = evaluate_policy(make(), contexts, SEEDS, SHORT, workers=0, **options)
-    backward = evaluate_policy(make(), contexts[::-1], SEEDS[::-1], SHORT, workers=0, **options)
-    assert_frame_equal(forward, backward, check_exact=True)
-    assert (forward.loc[forward["policy"] == "policy", "deferred_steps"] > 0).any(), "the policy acted"
+    assert (forward["agent_steps"] > 0).any() and forward["episode_steps"].gt(0).all()
 
 
 def test_recurrent_policies_keep_what_they_write_for_the_next_step(contexts: list[Context], cache: Path) -> None:

@@ -55,6 +55,15 @@ def test_validations_come_first_with_their_intervals(tmp_path: Path) -> None:
     assert all(series.low is None for series in several.series if series.kind == "line"), "a band says it"
 
 
+def test_the_steps_of_imitation_are_shaded(tmp_path: Path) -> None:
+    metrics = MetricsTable(tmp_path / "m.csv")
+    for k in range(1, 11):
+        metrics.append({"frames": 100 * k, "return": -1.0, **({"loss_imitation": 2.0} if k < 4 else {})})
+    figure = draw(curves({"run": [(metrics, None)]}))
+    assert figure.axes[0].patches[0].get_extents().transformed(figure.axes[0].transData.inverted()).x1 == 300.0
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["imitation", "run"]
+
+
 def test_several_runs_of_a_choice_are_a_band_and_their_mean(tmp_path: Path) -> None:
     """Constant returns -1, -2 and -6; the third run has come half as far, and a fourth has not begun."""
     tables = []

@@ -71,9 +71,9 @@ def test_what_does_not_fit_is_refused_and_leaves_nothing(
     toy = [word for word in TOY if word.partition("=")[0] not in {given.partition("=")[0] for given in words}]
     if words == ["algo=ddpg"]:
         toy = [word for word in toy if not word.startswith("algo.minibatch")]
-    assert train.main([*toy, *words, f"start={trained}", f"run_dir={tmp_path / 'run'}"]) == 2
+    assert train.main([*toy, *words, f"start={trained}", f"run_dir={tmp_path / 'runs' / 'run'}"]) == 2
     assert message.lower() in capsys.readouterr().err.lower()
-    assert not (tmp_path / "run").exists()
+    assert not (tmp_path / "runs").exists()
 
 
 def test_a_policy_collects_with_its_own_length_of_a_decision(

@@ -17,17 +17,14 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath
 
 from izoo.console import counted, plain
-from izoo.contexts.spec import IntersectionSpec
 from izoo.errors import IzooError
 from izoo.files import check_replaceable, expanded, os_reason, replacing_folder, write_json
-from izoo.networks.dataset.archive import FolderArchive, ZipArchive, open_archive
+from izoo.networks.dataset.archive import Archive, open_archive
 from izoo.networks.dataset.intersections import INFLOW_FILE, NET_FILE, load_intersection, natural_key
-from izoo.networks.road import read_road
 
 MANIFEST, INDEX = "manifest.json", "index.csv"
 FORMAT = "izoo-intersections-1"
 _SAFE_NAME = re.compile(r"\w[\w .+-]{0,99}")
-Archive = FolderArchive | ZipArchive
 Progress = Callable[[int, int], None]
 """Called with the number of folders done and their total."""
 
@@ -123,10 +120,9 @@ def _stage(
 ) -> tuple[list[IndexRow], dict[str, str]]:
     rows: list[IndexRow] = []
     unusable: dict[str, str] = {}
-    present = frozenset(archive.files)
     for number, place in enumerate(places, start=1):
         try:
-            rows.append(_stage_one(archive, present, place, staging))
+            rows.append(_stage_one(archive, place, staging))
         except IzooError as error:
             unusable["/".join(("imported", *archive.label, *place.parts)[-2:])] = str(error)
         if progress is not None:
@@ -134,13 +130,13 @@ def _stage(
     return rows, unusable
 
 
-def _stage_one(archive: Archive, present: frozenset[PurePosixPath], place: PurePosixPath, staging: Path) -> IndexRow:
+def _stage_one(archive: Archive, place: PurePosixPath, staging: Path) -> IndexRow:
     dataset, intersection = _names(archive, place)
     folder = staging / dataset / intersection
     if folder.exists():
         raise IzooError(f"another folder is called {dataset}/{intersection} too; rename one of them.")
     for name in (NET_FILE, INFLOW_FILE):
-        if place / name not in present:
+        if place / name not in archive.files:
             raise IzooError(f"it has no {name}; fetch the folder again.")
     data = {name: archive.read(place / name) for name in (NET_FILE, INFLOW_FILE)}
     folder.mkdir(parents=True)
@@ -148,14 +144,9 @@ def _stage_one(archive: Archive, present: frozenset[PurePosixPath], place: PureP
         for name, content in data.items():
             (folder / name).write_bytes(content)
         spec = load_intersection(folder)
-        read_road(folder / NET_FILE)
     except IzooError as error:
         shutil.rmtree(folder)
         raise IzooError(str(error).replace(f"{folder.absolute()}{os.sep}", "")) from error
-    return _index_row(spec, dataset, intersection, hashlib.sha256(data[INFLOW_FILE]).hexdigest())
-
-
-def _index_row(spec: IntersectionSpec, dataset: str, intersection: str, inflows_sha256: str) -> IndexRow:
     demand = (leg.name for leg in spec.legs if leg.approach is not None and leg.approach.aadt_per_lane > 0.0)
     return IndexRow(
         dataset=dataset,
@@ -165,7 +156,7 @@ def _index_row(spec: IntersectionSpec, dataset: str, intersection: str, inflows_
         approaches="".join(spec.approach_names),
         with_demand="".join(demand),
         net_sha256=spec.net_sha256 or "",
-        inflows_sha256=inflows_sha256,
+        inflows_sha256=hashlib.sha256(data[INFLOW_FILE]).hexdigest(),
         imputed="; ".join(spec.imputed),
     )
 

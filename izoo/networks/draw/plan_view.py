@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from izoo.contexts.movements import exits_by_turn
-from izoo.contexts.spec import IntersectionSpec, Leg
+from izoo.contexts.spec import IntersectionSpec
 from izoo.networks.road import APPROACHING, INSIDE, LEAVING, RoadNet
 
 LANE_M = 3.2
@@ -42,97 +41,27 @@ class Layout:
     extent_m: float
 
 
-def layout_of_spec(spec: IntersectionSpec) -> Layout:
-    """Lay out a description: straight legs along their bearings, lanes side by side."""
-    radius = _junction_radius(spec)
-    lanes: list[DrawnLane] = []
-    ends: dict[tuple[str, int], np.ndarray] = {}
-    starts: dict[tuple[str, int], np.ndarray] = {}
-    for leg in spec.legs:
-        out, right = _axes(leg)
-        for index in range(leg.exit_lanes):
-            # Lane 0 is the rightmost, so it is the outermost on the way out as well.
-            side = right * LANE_M * (leg.exit_lanes - index - 0.5)
-            starts[leg.name, index] = side + radius * out
-            lanes.append(DrawnLane(np.array([side + radius * out, side + (radius + REACH_M) * out])))
-        if leg.approach is None:
-            continue
-        count = leg.approach.lane_count
-        for index, turns in enumerate(leg.approach.lanes):
-            side = -right * LANE_M * (count - index - 0.5)
-            pocket = index < leg.approach.right_pockets or index >= count - leg.approach.left_pockets
-            reach = min(leg.approach.pocket_length_m, REACH_M) if pocket else REACH_M
-            ends[leg.name, index] = side + radius * out
-            lanes.append(DrawnLane(np.array([side + (radius + reach) * out, side + radius * out]), turns))
-    return Layout(tuple(lanes), tuple(_curves(spec, ends, starts)), radius + REACH_M)
-
-
-def layout_of_road(road: RoadNet, spec: IntersectionSpec) -> Layout:
-    """Lay out a net: the shapes of its lanes, cut where the legs leave the picture; one without lanes inside the
-    junction is laid out as the intersection says."""
-    inside = [k for k in range(len(road.lane_ids)) if road.lane_location[k] == INSIDE]
-    if not inside:
-        return layout_of_spec(spec)
-    junction = np.concatenate([road.shapes[k][:, :2] for k in inside])
+def layout_of(road: RoadNet, spec: IntersectionSpec) -> Layout:
+    """Lay out a net: the shapes of its lanes, cut where the legs leave the picture."""
+    place, shapes = road.lane_location, [shape[:, :2] for shape in road.shapes]
+    ways = [(k, shapes[k], int(road.lane_exit[k])) for k in np.flatnonzero(place == INSIDE)]
+    for k, q in np.argwhere(road.next_lane >= 0):
+        onward = road.next_lane[k, q]
+        if place[k] == APPROACHING and place[onward] == LEAVING:  # a net without lanes inside its junction
+            ways.append((k, np.array([shapes[k][-1], shapes[onward][0]]), int(q)))
+    junction = np.concatenate([points for _, points, _ in ways])
     middle = (junction.min(axis=0) + junction.max(axis=0)) / 2.0
     extent = float(np.abs(junction - middle).max()) + REACH_M
-    lanes, movements = [], []
-    for k in range(len(road.lane_ids)):
-        points = road.shapes[k][:, :2] - middle
-        if road.lane_location[k] == APPROACHING:
-            lanes.append(DrawnLane(_clip(points[::-1], extent)[::-1], _turns_at_stop(road, spec, k)))
-        elif road.lane_location[k] == LEAVING:
-            lanes.append(DrawnLane(_clip(points, extent)))
-        else:
-            origin, to = road.approaches[road.lane_approach[k]], road.exits[road.lane_exit[k]]
-            movements.append(DrawnMovement(points, origin, to))
+    lanes = [
+        DrawnLane(_clip(shapes[k] - middle, extent))
+        if place[k] == LEAVING
+        else DrawnLane(_clip(shapes[k][::-1] - middle, extent)[::-1], _turns_at_stop(road, spec, k))
+        for k in np.flatnonzero(place != INSIDE)
+    ]
+    movements = [
+        DrawnMovement(points - middle, road.approaches[road.lane_approach[k]], road.exits[q]) for k, points, q in ways
+    ]
     return Layout(tuple(lane for lane in lanes if len(lane.points) > 1), tuple(movements), extent)
-
-
-def _axes(leg: Leg) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors out along a leg and to the right of it, looking out."""
-    angle = np.radians(leg.bearing_deg)
-    return np.array([np.sin(angle), np.cos(angle)]), np.array([np.cos(angle), -np.sin(angle)])
-
-
-def _junction_radius(spec: IntersectionSpec) -> float:
-    """Distance from the middle at which neighbouring legs no longer overlap."""
-    widths = [max(leg.exit_lanes, leg.approach.lane_count if leg.approach else 0) * LANE_M for leg in spec.legs]
-    bearings = [leg.bearing_deg for leg in spec.legs]
-    radius = 8.0
-    for k, bearing in enumerate(bearings):
-        other = (k + 1) % len(bearings)
-        half = np.radians(max((bearings[other] - bearing) % 360.0, 20.0)) / 2.0
-        if half < np.pi / 2.0:
-            radius = max(radius, max(widths[k], widths[other]) / np.tan(half) + 2.0)
-    return float(min(radius, 45.0))
-
-
-def _curves(
-    spec: IntersectionSpec, ends: dict[tuple[str, int], np.ndarray], starts: dict[tuple[str, int], np.ndarray]
-) -> list[DrawnMovement]:
-    """Bezier curves from the lanes to the exits of their turns."""
-    found = []
-    for leg in spec.legs:
-        if leg.approach is None:
-            continue
-        exits = exits_by_turn(spec.legs, leg.name)
-        users = {turn: [i for i, turns in enumerate(leg.approach.lanes) if turn in turns] for turn in "rsl"}
-        for turn, names in exits.items():
-            for place, index in enumerate(users[turn]):
-                for to in names:
-                    count = spec.leg(to).exit_lanes
-                    target = min(place, count - 1) if turn != "l" else max(count - len(users[turn]) + place, 0)
-                    points = _bezier(ends[leg.name, index], -_axes(leg)[0], starts[to, target], _axes(spec.leg(to))[0])
-                    found.append(DrawnMovement(points, leg.name, to))
-    return found
-
-
-def _bezier(start: np.ndarray, heading: np.ndarray, end: np.ndarray, end_heading: np.ndarray) -> np.ndarray:
-    reach = 0.45 * float(np.linalg.norm(end - start))
-    t = np.linspace(0.0, 1.0, 25)[:, None]
-    one, two = start + reach * heading, end - reach * end_heading
-    return (1 - t) ** 3 * start + 3 * (1 - t) ** 2 * t * one + 3 * (1 - t) * t**2 * two + t**3 * end
 
 
 def _turns_at_stop(road: RoadNet, spec: IntersectionSpec, lane: int) -> str:

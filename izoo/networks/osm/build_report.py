@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from izoo.console import counted, plain
 from izoo.contexts.context import FLOW_CAP_VPH_PER_LANE
+from izoo.contexts.spec import IntersectionSpec
+from izoo.networks.osm.counts import peak_flows
 from izoo.networks.osm.plans import IMPUTED as PLAN_IMPUTED
+from izoo.networks.osm.streets import StreetMap
 
 
 @dataclass(frozen=True)
@@ -16,58 +21,46 @@ class OsmReport:
 
     Attributes:
         target: the folder that was written; :func:`izoo.networks.dataset.intersections.load_dataset` reads it.
+        read: the streets of the extract.
+        specs: the intersections, by id.
         streets: per intersection, the name of each leg's street.
-        flows: per intersection and approach, vehicles per hour of the peak, and whether demand was more than is played.
         skipped: why other junctions with signals were left out, by id.
-        imputed: how often each kind of value was imputed.
-        approaches: number of approaches in all.
         stray_signals: signal nodes at no junction: pedestrian crossings, or streets cut by the extract's edge.
-        uncycled_signals: signal nodes that show no cycle, and make no intersection.
-        reversible: names, or ids of their ways, of streets whose direction changes with time; they count as two-way.
-        mirrored: the region where traffic drives on the left, if the extract was mirrored.
     """
 
     target: Path
-    streets: dict[str, dict[str, str]]
-    approaches: int
-    flows: dict[str, dict[str, tuple[float, bool]]] = field(default_factory=dict)
-    stray_signals: int = 0
-    uncycled_signals: int = 0
-    reversible: tuple[str, ...] = ()
-    skipped: dict[str, str] = field(default_factory=dict)
-    imputed: dict[str, int] = field(default_factory=dict)
-    mirrored: str = ""
+    read: StreetMap
+    specs: Mapping[str, IntersectionSpec]
+    streets: Mapping[str, Mapping[str, str]]
+    skipped: Mapping[str, str]
+    stray_signals: int
 
     def __str__(self) -> str:
-        places = counted(len(self.streets), "intersection")
-        lines = [f"built {places} with {self.approaches} approaches into {self.target}"]
-        if self.mirrored:
+        places, read = counted(len(self.specs), "intersection"), self.read
+        approaches = f"{sum(len(spec.approach_names) for spec in self.specs.values())} approaches"
+        lines = [f"built {places} with {approaches} into {self.target}"]
+        if read.mirrored:
             lines.append(
-                f"  traffic drives on the left there ({self.mirrored}): all intersections are mirrored, east and west, "
+                f"  traffic drives on the left there ({read.mirrored}): all intersections are mirrored, east and west, "
                 "left and right exchanged, so that it drives on the right; --drives-on right takes the map as it is"
             )
-        lines += [
-            f"  {key}: " + ", ".join(f"{k} {v or '-'}{self._flow(key, k)}" for k, v in legs.items())
-            for key, legs in self.streets.items()
-        ]
+        for key, legs in self.streets.items():
+            flows = peak_flows(self.specs[key])
+            lines.append(f"  {key}: " + ", ".join(f"{k} {v or '-'}{_flow(*flows.get(k, ()))}" for k, v in legs.items()))
         lines += [f"  left out {key}: {reason}" for key, reason in self.skipped.items()]
         if self.stray_signals:
             lines.append(f"  {self.stray_signals} signal nodes stand at no junction (crossings, or the extract's edge)")
-        if self.uncycled_signals:
-            lines.append(
-                f"  {self.uncycled_signals} signal nodes blink, meter a ramp or wait for emergencies: no cycle"
-            )
-        if self.reversible:
-            lines.append(f"  taken as two-way, whatever their direction by time: {', '.join(self.reversible)}")
+        if read.uncycled:
+            lines.append(f"  {read.uncycled} signal nodes blink, meter a ramp or wait for emergencies: no cycle")
+        if read.reversible:
+            lines.append(f"  taken as two-way, whatever their direction by time: {', '.join(read.reversible)}")
+        imputed = Counter(name.rsplit(" of ", 1)[0] for spec in self.specs.values() for name in spec.imputed)
         whole = {PLAN_IMPUTED: places}
-        lines += [
-            f"  imputed {kind}: {count} of {whole.get(kind, f'{self.approaches} approaches')}"
-            for kind, count in self.imputed.items()
-        ]
+        lines += [f"  imputed {kind}: {imputed[kind]} of {whole.get(kind, approaches)}" for kind in sorted(imputed)]
         return "\n".join(map(plain, lines))
 
-    def _flow(self, key: str, leg: str) -> str:
-        if leg not in self.flows.get(key, {}):
-            return ""
-        vph, cut = self.flows[key][leg]
-        return f" ({vph:.0f} veh/h{f', cut to {FLOW_CAP_VPH_PER_LANE:.0f} per lane' if cut else ''})"
+
+def _flow(vph: float | None = None, cut: bool = False) -> str:
+    if vph is None:
+        return ""
+    return f" ({vph:.0f} veh/h{f', cut to {FLOW_CAP_VPH_PER_LANE:.0f} per lane' if cut else ''})"

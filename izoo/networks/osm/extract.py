@@ -15,10 +15,10 @@ Where traffic drives on the left the extract is mirrored (:mod:`izoo.networks.os
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import itertools
 import math
-from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -29,14 +29,13 @@ from izoo.errors import IzooError
 from izoo.files import expanded
 from izoo.networks.osm.build_report import OsmReport
 from izoo.networks.osm.carriageways import approach_of, exit_of
+from izoo.networks.osm.counts import TrafficCounts, read_counts, read_movement_counts, with_counts
 from izoo.networks.osm.driving_side import Side
+from izoo.networks.osm.elevation import Elevation
 from izoo.networks.osm.junctions import Core, StreetGraph, find_cores
 from izoo.networks.osm.legs import Street, find_streets
-from izoo.networks.osm.movement_counts import peak_flows, read_movement_counts, with_counts
 from izoo.networks.osm.plans import IMPUTED as PLAN_IMPUTED
 from izoo.networks.osm.plans import read_plans, with_plan
-from izoo.networks.osm.raw import REVERSIBLE
-from izoo.networks.osm.side_tables import Elevation, TrafficCounts, read_counts
 from izoo.networks.osm.store import check_target, save_cmdp
 from izoo.networks.osm.streets import StreetMap, read_streets
 from izoo.networks.osm.tags import class_default
@@ -61,9 +60,9 @@ def build_from_osm(
         file: the extract.
         target: a new or empty folder, or an earlier build, which is replaced unless it was edited.
         elevation: a raster of heights in m.
-        aadt: a CSV table of traffic counts; see :func:`izoo.networks.osm.side_tables.read_counts`.
+        aadt: a CSV table of traffic counts; see :func:`izoo.networks.osm.counts.read_counts`.
         signals: a JSON file of signal plans by intersection; see :mod:`izoo.networks.osm.plans`.
-        counts: a CSV table of turning counts; see :mod:`izoo.networks.osm.movement_counts`.
+        counts: a CSV table of turning counts; see :func:`izoo.networks.osm.counts.read_movement_counts`.
         drives_on: the side that traffic drives on; ``None``: that of the country.
 
     Raises:
@@ -103,23 +102,8 @@ def build_from_osm(
         "skipped": builder.skipped,
     }
     save_cmdp(target, builder.specs, builder.details, notes)
-    imputed = Counter(name.rsplit(" of ", 1)[0] for spec in builder.specs.values() for name in spec.imputed)
-    return OsmReport(
-        target=target,
-        streets={key: detail["streets"] for key, detail in builder.details.items()},
-        approaches=sum(len(spec.approach_names) for spec in builder.specs.values()),
-        flows={key: peak_flows(spec) for key, spec in builder.specs.items()},
-        stray_signals=builder.stray_signals,
-        uncycled_signals=streets.uncycled,
-        reversible=tuple(
-            dict.fromkeys(
-                way.name or f"way {way.id}" for way in streets.ways.values() if way.tags.get("oneway") in REVERSIBLE
-            )
-        ),
-        skipped=builder.skipped,
-        imputed=dict(sorted(imputed.items())),
-        mirrored=streets.mirrored,
-    )
+    names = {key: detail["streets"] for key, detail in builder.details.items()}
+    return OsmReport(target, streets, builder.specs, names, builder.skipped, builder.stray_signals)
 
 
 class _Builder:
@@ -224,7 +208,7 @@ class _Builder:
         grade = self._grade(stub.nodes)
         if grade is None:
             guessed.append(f"grade of {leg.name}")
-        return Approach(**{**vars(approach), "aadt_per_lane": aadt_per_lane, "grade": grade or 0.0})
+        return dataclasses.replace(approach, aadt_per_lane=aadt_per_lane, grade=grade or 0.0)
 
     def _grade(self, nodes: tuple[int, ...]) -> float | None:
         """Rise over run towards the stop line; ``None`` where a height is missing or the slope is implausible."""

@@ -19,7 +19,7 @@ from pathlib import Path
 from izoo.errors import IzooError
 from izoo.files import expanded
 from izoo.networks.osm.driving_side import Side, left_hand_region
-from izoo.networks.osm.raw import CROSSING, PEDESTRIAN, SUFFIXES, UNCYCLED, Restriction, Way, read_raw
+from izoo.networks.osm.raw import CROSSING, PEDESTRIAN, REVERSIBLE, SUFFIXES, UNCYCLED, Restriction, Way, read_raw
 
 EARTH_RADIUS_M = 6_371_000.0
 _SIDE_WORD = re.compile("left|right")
@@ -51,6 +51,12 @@ class StreetMap:
     pedestrian: frozenset[int] = frozenset()
     uncycled: int = 0
     mirrored: str = ""
+
+    @property
+    def reversible(self) -> tuple[str, ...]:
+        """Names, or ids, of streets whose direction changes with time; they count as two-way."""
+        found = (way for way in self.ways.values() if way.tags.get("oneway") in REVERSIBLE)
+        return tuple(dict.fromkeys(way.name or f"way {way.id}" for way in found))
 
     def drawn_lonlat(self, node: int) -> tuple[float, float]:
         """Degrees of a node, mirrored as the map is."""

@@ -166,7 +166,7 @@ if (byId("replay-app")) report.ready.then(content => {
     pen.font = "11px system-ui, sans-serif"; pen.fillStyle = colourOf("--quiet"); pen.strokeStyle = colourOf("--grid"); pen.lineWidth = 1;
     const seconds = data.frames * data.frame_s, tick = [20, 30, 60, 120, 200, 300].find(s => seconds / s <= width / 90) ?? 600;
     pen.textAlign = "center";
-    for (let t = 0; t <= seconds; t += tick) { follow(pen, [x(t / data.frame_s), box.top, x(t / data.frame_s), box.bottom]); pen.fillText(t === 0 ? "0 s" : String(t), x(t / data.frame_s), height - 12); }
+    for (let t = 0; t <= seconds; t += tick) { follow(pen, [x(t / data.frame_s), box.top, x(t / data.frame_s), box.bottom]); pen.fillText(t === 0 ? "0 s" : String(t), Math.min(x(t / data.frame_s), width - 16), height - 12); }
     pen.textAlign = "right";
     const gap = [25, 50, 100, 200].find(m => (near - far) / m <= 6) ?? 400;
     for (let m = 0; m >= far; m -= gap) { follow(pen, [box.left, y(m), box.right, y(m)]); pen.fillText(`${m || 0} m`, box.left - 6, y(m) + 4); }
