@@ -119,13 +119,13 @@ def play_twin(case: Case, steps: int, commands: Commands | None = None) -> Trace
     for t in range(steps):
         if commands is not None and t > 0:
             there = np.flatnonzero(trace.lane[t - 1] >= 0)
-            episode.command(there, commands(t, there, trace.speed_mps[t - 1, there]))
+            episode.state.vehicles["command"][there] = commands(t, there, trace.speed_mps[t - 1, there])
         episode.step()
-        there = episode.status == DRIVING
-        trace.lane[t, there] = episode.lane[there]
-        trace.position_m[t, there] = episode.position_m[there]
-        trace.speed_mps[t, there] = episode.speed_mps[there]
-        trace.signals[t, there] = episode.signals[there]
+        there = episode.state.vehicles["status"] == DRIVING
+        trace.lane[t, there] = episode.state.vehicles["lane"][there]
+        trace.position_m[t, there] = episode.state.vehicles["position"][there]
+        trace.speed_mps[t, there] = episode.state.vehicles["speed"][there]
+        trace.signals[t, there] = episode.state.vehicles["signals"][there]
     return trace
 
 

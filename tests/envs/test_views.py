@@ -15,7 +15,7 @@ from tensordict import TensorDict
 import izoo.envs.views.gymnasium
 from izoo.contexts.source import RoundRobinSchedule
 from izoo.envs import SIMULATORS, EcoDrivingEnv, EnvConfig
-from izoo.envs.mdp.columns import LANE_POSITION, NUMBER, REGION_LANE, SPEED
+from izoo.envs.mdp.columns import VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.envs.views.view_session import ViewSession
 from izoo.errors import IzooError
 from tests.envs.worlds import choose_lanes, crossing, episode, short, steer, steer_and_change, steering
@@ -52,7 +52,8 @@ def expected(request: pytest.FixtureRequest) -> Expected:
 def positions_now(session: ViewSession) -> Positions:
     floats, ints = session.frame["vehicle_floats"], session.frame["vehicle_ints"]
     present = session.frame["vehicle_flags"][:, 0].astype(bool)
-    columns = (ints[:, NUMBER], ints[:, REGION_LANE], floats[:, LANE_POSITION], floats[:, SPEED])
+    whole = [ints[:, VEHICLE_INTS.index(name)] for name in ("vehicle_number", "region_lane")]
+    columns = (*whole, *(floats[:, VEHICLE_FLOATS.index(name)] for name in ("lane_position_m", "speed_mps")))
     return {number: state for number, *state in zip(*(column[present].tolist() for column in columns), strict=True)}
 
 
