@@ -128,7 +128,8 @@ def test_what_the_system_says_of_a_path_is_one_sentence(capsys: pytest.CaptureFi
     long = "x" * 300
     assert main(["policy=glide", "contexts=dataset", f"contexts.path={long}"]) == 2
     error = capsys.readouterr().err
-    assert "File name too long" in error and "Traceback" not in error and error.count("\n") == 1
+    told = "File name too long" in error or "does not exist" in error  # the latter from Python 3.14 on
+    assert told and "Traceback" not in error and error.count("\n") == 1
 
 
 def test_a_tilde_that_means_nobody_stays_a_tilde(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
