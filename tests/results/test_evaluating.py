@@ -123,6 +123,14 @@ def test_options_of_a_runs_own_contexts_are_changed(
     assert ": pcg, 1 context" in capsys.readouterr().out
 
 
+def test_what_the_system_says_of_a_path_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    long = "x" * 300
+    assert main(["policy=glide", "contexts=dataset", f"contexts.path={long}"]) == 2
+    error = capsys.readouterr().err
+    told = "File name too long" in error or "does not exist" in error  # the latter from Python 3.14 on
+    assert told and "Traceback" not in error and error.count("\n") == 1
+
+
 def test_contexts_are_drawn_without_end_or_taken_from_a_list(contexts) -> None:
     source = PcgContexts(inflow_vph_per_lane="100..900").build()
     drawn = choose_contexts(source, None, 0)
