@@ -120,8 +120,8 @@ class CheckedOptions:
 
     Attributes:
         group: of the options, for messages; empty where there is none.
-        ranges: ClassVar[tuple[tuple[Any, ...], ...]] = ()
-            those of its bases.
+        ranges: ``(names, low, high)`` or ``(names, low, high, unit)`` of numbers, which may also be ``None``; names are
+            separated by spaces. A class has those of its bases, too.
     """
 
     group: ClassVar[str] = ""

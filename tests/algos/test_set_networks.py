@@ -1,4 +1,4 @@
-"""What MAPPO and graph RL share: whole frames, and indifference to slot order, slot count and padding."""
+"""What MAPPO and graph RL share: whole frames, each seen alone."""
 
 from __future__ import annotations
 

@@ -151,6 +151,17 @@ def test_reset_flags_at_the_root_or_of_all_agents_choose_environments(make: Make
         env.reset(state.clone().set(key, flags))
 
 
+def test_what_another_thread_uses_is_refused(make: Make) -> None:
+    env = make("twin", 2)
+    state = steer(env.reset())
+    with env.used_by_one_thread():
+        for call in (lambda: env.step(state.clone()), env.reset):
+            with pytest.raises(IzooError, match="another thread"):
+                call()
+    env.step(state)
+    assert played(env.reset()) == [2, 3], "the refused reset has used up no episodes"
+
+
 @pytest.mark.parametrize("simulator", SIMULATORS)
 def test_a_reset_without_any_flag_changes_nothing(make: Make, simulator: str) -> None:
     env = make(simulator)

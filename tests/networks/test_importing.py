@@ -72,9 +72,12 @@ def test_zip_and_folder_give_the_same_import(tmp_path: Path, source: Path) -> No
     names = [path for path in source.rglob("*") if path.is_file()]
     members = {path.relative_to(tmp_path).as_posix(): path.read_bytes() for path in names}
     archive = pack(tmp_path / "download.zip", {**members, "salt-lake-city/13/": b"", "__MACOSX/9/net.net.xml": b"x"})
-    zipped, plain = import_dataset(archive, tmp_path / "one"), import_dataset(source, tmp_path / "two")
-    assert zipped.usable == plain.usable and zipped.unusable == plain.unusable
-    assert tree(tmp_path / "one") == tree(tmp_path / "two")
+    plain = import_dataset(source, tmp_path / "plain")
+    windows = pack(tmp_path / "windows.zip", {name.replace("/", "\\"): content for name, content in members.items()})
+    for packed, lacking in ((archive, set()), (windows, {"salt-lake-city/13"})):
+        zipped = import_dataset(packed, tmp_path / packed.stem)
+        assert zipped.usable == plain.usable and set(plain.unusable) - set(zipped.unusable) == lacking
+        assert tree(tmp_path / packed.stem) == tree(tmp_path / "plain")
 
 
 def test_a_single_intersection_and_an_archive_without_a_top_folder(tmp_path: Path, source: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import shlex
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -31,6 +32,7 @@ from izoo.report import __main__ as report
 from izoo.results import read_table
 from izoo.results.policies import as_policy, weights_hash
 from izoo.results.store import read_manifest
+from izoo.training import checkpoint
 from izoo.zoo import catalog
 from tests.report.made_tables import folder, table
 
@@ -81,6 +83,19 @@ def test_a_file_cannot_name_code(
     assert evaluate.main([f"policy={written}", "contexts=pcg", "out=out"]) == 2
     assert "a policy of algo=evil:Thing" in capsys.readouterr().err
     assert not (tmp_path / "ran").exists() and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("reader", [zoo.read, checkpoint.load])
+def test_nothing_in_a_file_is_run(reader: Callable[[Path], object], tmp_path: Path) -> None:
+    class Trap:
+        def __reduce__(self) -> tuple[object, tuple[object, ...]]:
+            return (Path.touch, (tmp_path / "ran",))
+
+    path = tmp_path / "trap.pt"
+    torch.save({"format": "izoo-policy-1", "options": Trap()}, path)
+    with pytest.raises(IzooError, match=r"trap\.pt"):
+        reader(path)
+    assert not (tmp_path / "ran").exists()
 
 
 def test_every_shipped_policy_loads_and_has_its_card() -> None:
