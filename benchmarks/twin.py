@@ -101,7 +101,7 @@ def run(config: FidelityConfig) -> Path:
     """Compare, or go on comparing; print the tables, and return the folder of the results."""
     import pandas as pd
 
-    from izoo.benchmarks.fidelity import few_vehicles, trajectory_diff, twin_fidelity
+    from izoo.benchmarks.fidelity import single_vehicle, trajectory_diff, twin_fidelity
     from izoo.console import counted
     from izoo.envs.twin.backend import check_settings
     from izoo.envs.twin.net.supported import check_contexts
@@ -127,9 +127,9 @@ def run(config: FidelityConfig) -> Path:
     sumo, played = (both[both["simulator"] == name] for name in ("sumo", "twin"))
     few_file, steps_file = (
         RowsFile(out / name, (*of.TEXT, *of.NUMBERS), of.TEXT, ("seed",)).read()
-        for name, of in (("few.csv", few_vehicles), ("steps.csv", trajectory_diff))
+        for name, of in (("few.csv", single_vehicle), ("steps.csv", trajectory_diff))
     )
-    few = few_vehicles.compare_few(base, seeds, config.env.step_s, few_file)
+    few = single_vehicle.compare_few(base, seeds, config.env.step_s, few_file)
     exact = pd.DataFrame(trajectory_diff.compare_steps(contexts, seeds, config.env, exact_of, steps_file))
     own = twin_fidelity.own_spread(sumo, late)
     compared = twin_fidelity.with_spread(twin_fidelity.approaches(sumo, played), own)

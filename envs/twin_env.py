@@ -20,7 +20,7 @@ from izoo.cores import usable_cores
 from izoo.envs.backend import Play
 from izoo.envs.config import EnvConfig, checked_config
 from izoo.envs.env import Contexts, EcoDrivingBase, numbering
-from izoo.envs.mdp.columns import FLAGS, FLOATS, INTS
+from izoo.envs.mdp.columns import Vehicle
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.envs.mdp.snapshot import Scene
 from izoo.envs.model_version import MODEL_VERSION
@@ -33,7 +33,7 @@ from izoo.user_key import own_key
 _ENTRIES = ("settings", "plays", "episodes", "next_episodes", "packed")
 """What a saved state holds besides its mark; all but the first are one per environment."""
 _MARK = "mark"
-_LAYOUT = repr((STATE.fields, *map(tuple, (FLOATS, INTS, FLAGS))))
+_LAYOUT = repr((STATE.fields, Vehicle.descr))
 """In which order a state lies in memory: another one may be as long."""
 _OF_PROCESSES = ("recycle_episodes", "watchdog_s", "gui")
 """Settings that change no episode."""
@@ -192,11 +192,6 @@ class TwinEnv(EcoDrivingBase):
         """
         self.require_open()
         missing = [name for name in _ENTRIES if name not in state]
-        if missing and set(missing) <= {"settings", "plays"}:
-            raise IzooError(
-                "the saved state does not say of which contexts and settings it is, so an earlier version of izoo "
-                "saved it; go on with that version, or begin anew with reset()."
-            )
         if missing:
             raise IzooError(f"the saved state has no {', '.join(missing)}; give what state_dict() returned.")
         counts = {len(state[name]) for name in _ENTRIES[1:]}

@@ -34,11 +34,11 @@ SOURCES = {
     "izoo.algos": ("networks/censored_normal.py", "networks/compiled_mlp.py"),
     "izoo.contexts": ("features.py",),
     "izoo.emissions": ("*.py",),
-    "izoo.envs": ("config.py", "frame_copies.py", "mdp/*.py", "twin/**/*.py"),
+    "izoo.envs": ("config.py", "frame_copies.py", "tables.py", "mdp/*.py", "twin/**/*.py"),
     "izoo.networks": ("clock.py", "road.py"),
 }
 """Files whose functions are compiled, or whose constants are compiled into them, by their package."""
-_PATIENCE_S = 120.0
+_PATIENCE_S = 1200.0
 _KEPT_S = 24 * 3600.0
 """For so long compiled code of older sources is kept after a process last began to use it: it may still run."""
 _MARK = "writable"
@@ -195,12 +195,21 @@ def compiled(
 
 
 def line_writer(values: Sequence[Callable[..., float]], scales: Sequence[float], arguments: str) -> Any:
-    """Compile ``write(ARGUMENTS, line)``, which writes each value, divided by its scale, to its place in the line."""
+    """Compile ``write(ARGUMENTS, line, first)``, which writes values, each divided by its scale, from ``first`` on."""
     names = {
         f"value_{k}": compiled(value, borrows=True, cache=False, inline="always") for k, value in enumerate(values)
     }
-    lines = [f"    line[{k}] = value_{k}({arguments}) / {scale}" for k, scale in enumerate(scales)]
-    exec("\n".join([f"def write({arguments}, line):", *lines, "    return"]), names)
+    return _writer(arguments, [f"value_{k}({arguments}) / {scale}" for k, scale in enumerate(scales)], names)
+
+
+def field_writer(fields: Sequence[str]) -> Any:
+    """Compile ``write(record, line, first)``, which writes fields of a record from place ``first`` of the line on."""
+    return _writer("record", [f"record.{field}" for field in fields], {})
+
+
+def _writer(arguments: str, values: Sequence[str], names: dict[str, Any]) -> Any:
+    lines = [f"    line[first + {k}] = {value}" for k, value in enumerate(values)]
+    exec("\n".join([f"def write({arguments}, line, first):", *lines, "    return"]), names)
     return compiled(names["write"], borrows=True, cache=False)
 
 
@@ -237,10 +246,11 @@ def local_floats(typing_context, count):  # type: ignore[no-untyped-def]
 
 @contextlib.contextmanager
 def compiling_once(kernel: Any) -> Iterator[None]:
-    """Where ``kernel`` is not compiled yet, say that it takes a while, and let one process compile it; others wait.
+    """Where ``kernel`` is not compiled yet, say that it takes a while, and let one process compile at a time.
 
-    Where files cannot be locked, every process compiles. A kernel from another machine, which numba will not use, is
-    not recognised as such.
+    Kernels share most of what they call, so a process that waited for another finds most of its own compiled. Within
+    the context nothing may be waited for that another process compiles for. Where files cannot be locked, every process
+    compiles. A kernel from another machine, which numba will not use, is not recognised as such.
 
     Args:
         kernel: numba's dispatcher, called for the first time within the context.
@@ -260,7 +270,7 @@ def compiling_once(kernel: Any) -> Iterator[None]:
     if is_there():
         yield
         return
-    lock = filelock.FileLock(where / f"{name}.lock")
+    lock = filelock.FileLock(where.parent / "compiling.lock")
     with contextlib.suppress(OSError, NotImplementedError, filelock.Timeout):
         lock.acquire(_PATIENCE_S)
     try:

@@ -13,7 +13,7 @@ import types
 import typing
 import unicodedata
 from collections.abc import Callable, Iterable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 
 class IzooError(ValueError):
@@ -115,17 +115,20 @@ def check_types(group: str, config: Any) -> None:
             raise IzooError(f"{option} is {value!r}; it must be {' or '.join(word for word, _ in legal)}.")
 
 
+Ranges: TypeAlias = tuple[tuple[Any, ...], ...]
+
+
 class CheckedOptions:
     """Base of frozen dataclasses of options: types and ranges are checked when one is made.
 
     Attributes:
         group: of the options, for messages; empty where there is none.
-        ranges: ``(names, low, high)`` or ``(names, low, high, unit)`` of numbers, which may also be ``None``; names are
-            separated by spaces. A class has those of its bases, too.
+        ranges: names that are separated by blanks, lowest and highest value of these numbers, and perhaps their unit; a
+            class adds to those of its bases.
     """
 
     group: ClassVar[str] = ""
-    ranges: ClassVar[tuple[tuple[Any, ...], ...]] = ()
+    ranges: ClassVar[Ranges] = ()
 
     def __post_init__(self) -> None:
         check_types(self.group, self)

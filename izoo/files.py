@@ -369,7 +369,7 @@ def ensure_empty(folder: Path, option: str, instead: str = "remove its content")
 def check_folder(folder: Path, remedy: str) -> None:
     """Raise :class:`IzooError`, which ends with what to give instead, unless ``folder`` is one."""
     if not folder.is_dir():
-        raise IzooError(f"{folder} is {'a file' if folder.exists() else 'no folder'}; {remedy}.")
+        raise IzooError(f"{folder} {'is a file' if folder.exists() else 'does not exist'}; {remedy}.")
 
 
 def cache_root() -> Path:

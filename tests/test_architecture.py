@@ -37,7 +37,7 @@ FLOORS = (
 )
 """Rooms from the ground up; rooms that share a floor do not know each other."""
 ENV_FLOORS = (
-    {"config", "mdp", "model_version"},
+    {"config", "tables", "mdp", "model_version"},
     {"backend"},
     {"sumo", "twin"},
     {"specs", "frame_io", "frame_copies", "render", "env", "twin_env"},

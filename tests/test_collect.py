@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import pickle
 import re
 import shutil
 from collections.abc import Callable
@@ -13,7 +14,7 @@ from typing import Any
 
 import pytest
 import torch
-from tensordict import MemoryMappedTensor, TensorDict
+from tensordict import MemoryMappedTensor, NonTensorData, TensorDict
 from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement, SliceSampler
 
 from izoo import collect
@@ -218,3 +219,29 @@ def test_an_unfinished_shard_is_never_part_of_the_data(tmp_path: Path, data: Pat
     assert [len(shard) for shard in dataset.load_shards(tmp_path)] == [40]
     writer.finish_shard()
     assert [len(shard) for shard in dataset.load_shards(tmp_path)] == [40, 10]
+
+
+def test_a_data_set_reads_nothing_outside_of_its_folder(data: Path, tmp_path: Path) -> None:
+    shutil.copytree(data, tmp_path / "data")
+    (tmp_path / "secret.memmap").write_bytes(bytes(4))
+    path = next((tmp_path / "data").glob("shard-*")) / "meta.json"
+    entry = {"device": "cpu", "shape": [1], "dtype": "torch.float32", "is_nested": False}
+    path.write_text(json.dumps({**json.loads(path.read_text()), "../../secret": entry}))
+    with pytest.raises(IzooError, match="is not a file name"):
+        collect.load(tmp_path / "data")
+
+
+def test_a_data_set_that_would_run_code_is_refused(data: Path, tmp_path: Path) -> None:
+    class Evil:
+        def __reduce__(self) -> tuple[Any, tuple[str]]:
+            return (os.mkdir, (str(tmp_path / "ran"),))
+
+    shutil.copytree(data, tmp_path / "data")
+    shard = next(path for path in (tmp_path / "data").iterdir() if path.is_dir())
+    NonTensorData(print).memmap_(shard / "x")
+    (shard / "x" / "other.pickle").write_bytes(pickle.dumps({"data": Evil()}))
+    content = json.loads((shard / "meta.json").read_text())
+    (shard / "meta.json").write_text(json.dumps({**content, "x": {"type": "NonTensorData"}}))
+    with pytest.raises(IzooError, match="cannot read"):
+        collect.load(tmp_path / "data")
+    assert not (tmp_path / "ran").exists()

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -26,6 +27,11 @@ from izoo.results.store import read_manifest
 from izoo.training import checkpoint, loop, run_folder
 from izoo.training.loggers import MetricsTable
 from tests.training.toy import begun
+
+
+def make_state() -> dict[str, Any]:
+    return {"algorithm": {"policy": {"w": torch.arange(1000.0)}}}
+
 
 TOY = [
     *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "algo.hidden=[16]"),
@@ -180,3 +186,24 @@ def test_a_resumed_run_keeps_its_own_options_in_python_too(tmp_path: Path) -> No
     with pytest.raises(IzooError, match=r"seed differs from that of .*run_folder\.resumed"):
         loop.train(dataclasses.replace(own, seed=own.seed + 1))
     assert (tmp_path / "config.yaml").read_text() == kept
+
+
+def test_checkpoints_hold_no_code(tmp_path: Path) -> None:
+    path = tmp_path / "checkpoints" / "step-000000000001.pt"
+    path.parent.mkdir()
+    torch.save({"format": checkpoint.FORMAT, "evil": Path("x")}, path)
+    with pytest.raises(IzooError):
+        checkpoint.load(path)
+
+
+def test_a_failed_save_keeps_the_last_good_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = checkpoint.save(tmp_path, 100, make_state(), keep=1)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("torch.save", full)
+    with pytest.raises(OSError, match="No space left"):
+        checkpoint.save(tmp_path, 200, make_state(), keep=1)
+    assert checkpoint.listed(tmp_path) == [first]
+    assert list(first.parent.iterdir()) == [first]

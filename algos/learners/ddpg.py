@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import torch
@@ -27,7 +27,7 @@ from izoo.algos.losses import MaskedDDPGLoss
 from izoo.algos.networks import compiled_mlp
 from izoo.algos.networks.set_networks import spread_out
 from izoo.envs.config import SPEED
-from izoo.errors import check_range
+from izoo.errors import Ranges, check_range
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class DDPGConfig(AlgoConfig):
     stores: Literal["commanded", "applied"] = "commanded"
     save_replay: bool = True
 
-    ranges = (
+    ranges: ClassVar[Ranges] = (
         ("minibatch_rows replay_rows n_step", 1, 10**9),
         ("learning_starts random_frames", 0, 10**12),
         ("priority_alpha priority_beta gamma noise_theta noise_final weight_decay", 0.0, 1.0),

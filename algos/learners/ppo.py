@@ -28,7 +28,7 @@ from izoo.algos.networks.gaussian import CompiledPolicy, SamplingPolicy, normal_
 from izoo.algos.networks.masking import is_set_module
 from izoo.envs import REFERENCE
 from izoo.envs.config import BY_STEP, RewardConfig
-from izoo.errors import IzooError
+from izoo.errors import IzooError, Ranges
 
 POPART_BETA = 0.99
 """What is left of a batch's weight in the statistics one batch later."""
@@ -127,7 +127,7 @@ class PPOConfig(AlgoConfig):
     initial_accel_mps2: float | None = 0.5
     initial_spread: float = 0.35
 
-    ranges = (
+    ranges: ClassVar[Ranges] = (
         ("epochs minibatch_rows rows_per_epoch", 1, 10**9),
         ("gamma gae_lambda", 0.0, 1.0),
         ("lr warm_start_lr reward_scale kl_target", 1e-12, 100.0),
@@ -337,7 +337,7 @@ class PPO:
         self._set_lr(lr * max(1.0 - progress, 0.0) if self.config.anneal_lr else lr)
         bound = None if imitates or self.config.target_kl is None else 1.5 * self.config.target_kl
         replayed = None if start.active or bound is not None else self._replayed
-        found: list[TensorDictBase] = []
+        found: list[Any] = []
         for minibatch in self._minibatches(rows):
             if replayed is not None and len(minibatch) == self.config.minibatch_rows:
                 found.append(replayed(minibatch))
@@ -349,7 +349,8 @@ class PPO:
                 break
             found.append(self._descend(losses))
         start.count(batch.numel(), actor, progress)
-        stats = {} if not found else {key: float(value) for key, value in torch.stack(found).mean(0).items()}  # type: ignore[call-overload]
+        means: Any = torch.stack(found).mean(0) if found else {}
+        stats = {key: float(value) for key, value in means.items()}
         if not imitates:  # while it imitates, the penalty does not act
             self._adapt_kl_weight(stats.get("kl"))
         stats["lr"], stats["gradient_steps"] = float(self._lr), float(len(found))

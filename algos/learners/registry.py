@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from izoo.envs import COMPILED
-from izoo.errors import CheckedOptions, IzooError, unknown_choice
+from izoo.errors import CheckedOptions, IzooError, Ranges, unknown_choice
 from izoo.imports import imported
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class AlgoConfig(CheckedOptions):
     name: str = ""
     frames_per_batch: int = 1950
     group = "algo"
-    ranges = (("frames_per_batch", 1, 10**9),)
+    ranges: ClassVar[Ranges] = (("frames_per_batch", 1, 10**9),)
     needs_env: ClassVar[bool] = False
     """Whether the algorithm is also told the settings of the environment, ``env=``."""
     starts_with: ClassVar[str] = ""

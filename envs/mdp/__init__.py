@@ -3,7 +3,7 @@
 A simulator reports the vehicles' positions and speeds; the functions here compute observations, emissions, rewards and
 metrics from them.
 
-- :mod:`~izoo.envs.mdp.columns`: the columns of the tables.
+- :mod:`~izoo.envs.mdp.columns`: the record of a vehicle.
 - :mod:`~izoo.envs.mdp.observation`, :mod:`~izoo.envs.mdp.reward`: observation and reward, each column and term
   declared once.
 - :mod:`~izoo.envs.mdp.frame`: what an environment emits in a step, as arrays.

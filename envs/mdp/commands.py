@@ -4,21 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from izoo.compiling import compiled
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, MIN_SHARE
-from izoo.envs.mdp.columns import (
-    APPROACH,
-    CAP,
-    COMMANDED,
-    DEFERRED,
-    EXIT,
-    LOCATION,
-    REGION_LANE,
-    SPEED,
-    TARGET,
-    YIELDING,
-)
-from izoo.envs.mdp.metric_sums import METRIC
+from izoo.envs.tables import compiled
 from izoo.networks.road import APPROACHING, INSIDE
 
 LANE_CHANGE_BRAKING_MPS2 = 0.5
@@ -27,71 +14,66 @@ harder than this: it is slowed to find a gap, and a command would override that.
 TOP_SPEED_MPS = 200.0 / 3.6
 """Maximum speed of an uncommanded vehicle: the default of its class, above all limits that nets have."""
 _CAP_BRAKING_MPS2 = 1.5
-_AGENT_STEPS = METRIC["agent_steps"]
-_DEFERRED_STEPS = METRIC["deferred_steps"]
-_NAN_ACTIONS = METRIC["nan_actions"]
-_LANE_CHANGE_DEFERRED = METRIC["lane_change_deferred"]
-_JUNCTION_DEFERRED = METRIC["junction_deferred"]
 
 
-@compiled(borrows=True)
-def plan_commands(tables, rules, action, defer, sums):  # type: ignore[no-untyped-def]
+@compiled
+def plan_commands(world, base):  # type: ignore[no-untyped-def]
     """Write speed commands from accelerations; the other agents are left to the simulator's own driver.
 
     A CV inside the junction is always left to its driver, because none of SUMO's checks keeps a vehicle that is made to
-    stop there from being hit from the side. So is a CV that its driver slows for a lane change (``YIELDING``). A
+    stop there from being hit from the side. So is a CV that its driver slows for a lane change (``yielding``). A
     command holds until the next one, so a command that repeats the last one, as in a queue, is not sent again.
 
     Args:
-        tables: reads ``agent_row`` and ``acting``; writes ``command``, ``target_mps`` and ``release``.
-        rules: the episode's :class:`~izoo.envs.mdp.state.Rules`.
-        action: ``[A, 1]`` m/s^2; NaN counts as defer. Agents with ``acting`` below 0 have come since it was chosen.
-        defer: ``[A]`` whether to leave the agent to its own driver.
-        sums: ``[P, M]`` metrics.
+        world: the :class:`~izoo.envs.mdp.state.World`. Actions ``[A, 1]`` are in m/s^2; NaN counts as defer. Agents
+            with ``acting`` below 0 have come since they were chosen.
+        base: first row of the sums (:func:`~izoo.envs.mdp.slots.first_sums`).
 
     Returns:
-        How many rows have a new command, and how many are released.
+        How many rows have a new command, how many are released, and how many have a new maximum speed: none.
     """
-    floats, ints, flags = tables.floats, tables.ints, tables.flags
+    tables, work, rules = world.tables, world.work, world.rules
+    action, defer = tables.decision, tables.deferred
     commands, releases = 0, 0
     for a in range(tables.agent_row.shape[0]):
         r = tables.agent_row[a]
         if r < 0:
             continue
-        p = ints[r, APPROACH]
-        sums[p, _AGENT_STEPS] += 1
+        vehicle = tables.vehicles[r]
+        sums = tables.sums[base + vehicle.approach]
+        sums.agent_steps += 1
         is_new = tables.acting[a] < 0
         is_nan = not is_new and np.isnan(action[a, 0])
         deferred = is_new or defer[a] != 0
         if is_nan:
-            sums[p, _NAN_ACTIONS] += 1
-        inside = ints[r, LOCATION] == INSIDE
+            sums.nan_actions += 1
+        inside = vehicle.location == INSIDE
         if not deferred and not is_nan:
-            sums[p, _LANE_CHANGE_DEFERRED] += flags[r, YIELDING]
-            sums[p, _JUNCTION_DEFERRED] += inside
-        if is_nan or deferred or flags[r, YIELDING] or inside:
-            sums[p, _DEFERRED_STEPS] += 1
-            flags[r, DEFERRED] = 1
-            if flags[r, COMMANDED]:
-                flags[r, COMMANDED] = 0
-                tables.release[releases] = r
+            sums.lane_change_deferred += vehicle.yielding
+            sums.junction_deferred += inside
+        if is_nan or deferred or vehicle.yielding or inside:
+            sums.deferred_steps += 1
+            vehicle.deferred = 1
+            if vehicle.commanded:
+                vehicle.commanded = 0
+                work.release[releases] = r
                 releases += 1
         else:
-            flags[r, DEFERRED] = 0
+            vehicle.deferred = 0
             accel = min(max(action[a, 0], ACTION_LOW_MPS2), ACTION_HIGH_MPS2)
-            speed = max(floats[r, SPEED] + accel * rules.step_s, 0.0)
-            if flags[r, COMMANDED] and speed == floats[r, TARGET]:
+            speed = max(vehicle.speed_mps + accel * rules.step_s, 0.0)
+            if vehicle.commanded and speed == vehicle.target_mps:
                 continue
-            flags[r, COMMANDED] = 1
-            floats[r, TARGET] = speed
-            tables.command[commands] = r
-            tables.target_mps[commands] = speed
+            vehicle.commanded = 1
+            vehicle.target_mps = speed
+            work.command[commands] = r
+            work.target_mps[commands] = speed
             commands += 1
-    return commands, releases
+    return commands, releases, 0
 
 
-@compiled(borrows=True)
-def plan_caps(tables, rules, road, action, defer, sums):  # type: ignore[no-untyped-def]
+@compiled
+def plan_caps(world, base):  # type: ignore[no-untyped-def]
     """Write maximum speeds and speed commands from desired speeds, which are shares of the speed limit.
 
     A vehicle no faster than its desired speed gets it as its maximum speed, and its own car-following does the rest. A
@@ -101,49 +83,51 @@ def plan_caps(tables, rules, road, action, defer, sums):  # type: ignore[no-unty
     the exit, whatever the lanes inside the junction allow.
 
     Args:
-        tables, rules, defer, sums: as for :func:`plan_commands`; also writes ``capped`` and ``cap_mps``.
-        road: the region's lanes.
-        action: ``[A, D]`` shares of the limit, one for the whole way or one each before and behind the stop line; from
-            1 on the vehicle is uncommanded, and NaN counts as 1.
+        world, base: as for :func:`plan_commands`. Actions ``[A, D]`` are shares of the limit, one for the whole way or
+            one each before and behind the stop line; from 1 on the vehicle is uncommanded, and NaN counts as 1.
 
     Returns:
         How many rows have a new command, how many are released, and how many have a new maximum speed.
     """
-    floats, ints, flags = tables.floats, tables.ints, tables.flags
+    tables, work, rules = world.tables, world.work, world.rules
+    action, defer = tables.decision, tables.deferred
     commands, releases, caps = 0, 0, 0
     for a in range(tables.agent_row.shape[0]):
         r = tables.agent_row[a]
         if r < 0:
             continue
-        p = ints[r, APPROACH]
-        sums[p, _AGENT_STEPS] += 1
-        before_line = ints[r, LOCATION] == APPROACHING
+        vehicle = tables.vehicles[r]
+        sums = tables.sums[base + vehicle.approach]
+        sums.agent_steps += 1
+        before_line = vehicle.location == APPROACHING
         share = action[a, 0 if before_line else action.shape[1] - 1]
         is_new = tables.acting[a] < 0
         if not is_new and np.isnan(share):
-            sums[p, _NAN_ACTIONS] += 1
+            sums.nan_actions += 1
         free = is_new or defer[a] != 0 or not share < 1.0
-        flags[r, DEFERRED] = free
-        speed, max_speed, slowing = floats[r, SPEED], TOP_SPEED_MPS, False
+        vehicle.deferred = free
+        speed, max_speed, slowing = vehicle.speed_mps, TOP_SPEED_MPS, False
         if free:
-            sums[p, _DEFERRED_STEPS] += 1
+            sums.deferred_steps += 1
         else:
-            limit = road.lane_limit_mps[ints[r, REGION_LANE]] if before_line else rules.exit_limit_mps[ints[r, EXIT]]
+            limit = world.exit_limit_mps[vehicle.exit]
+            if before_line:
+                limit = world.road.lanes[vehicle.region_lane].limit_mps
             max_speed = max(share, MIN_SHARE) * limit
             slowing = speed > max_speed
-        if slowing and not flags[r, YIELDING] and ints[r, LOCATION] != INSIDE:
+        if slowing and not vehicle.yielding and vehicle.location != INSIDE:
             slower = max(max_speed, speed - _CAP_BRAKING_MPS2 * rules.step_s)
-            if not (flags[r, COMMANDED] and slower == floats[r, TARGET]):
-                flags[r, COMMANDED] = 1
-                floats[r, TARGET] = slower
-                tables.command[commands], tables.target_mps[commands] = r, slower
+            if not (vehicle.commanded and slower == vehicle.target_mps):
+                vehicle.commanded = 1
+                vehicle.target_mps = slower
+                work.command[commands], work.target_mps[commands] = r, slower
                 commands += 1
-        elif flags[r, COMMANDED]:
-            flags[r, COMMANDED] = 0
-            tables.release[releases] = r
+        elif vehicle.commanded:
+            vehicle.commanded = 0
+            work.release[releases] = r
             releases += 1
-        if not slowing and max_speed != floats[r, CAP] and not (max_speed == TOP_SPEED_MPS and floats[r, CAP] == 0.0):
-            floats[r, CAP] = max_speed
-            tables.capped[caps], tables.cap_mps[caps] = r, max_speed
+        if not slowing and max_speed != vehicle.cap_mps and not (max_speed == TOP_SPEED_MPS and vehicle.cap_mps == 0.0):
+            vehicle.cap_mps = max_speed
+            work.capped[caps], work.cap_mps[caps] = r, max_speed
             caps += 1
     return commands, releases, caps

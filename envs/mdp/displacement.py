@@ -1,114 +1,106 @@
-"""Where vehicles are: a simulator's report as columns of the tables."""
+"""Where vehicles are: a simulator's report, and what follows from it and the road."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from izoo.compiling import compiled
-from izoo.envs.mdp.columns import (
-    ACCEL,
-    APPROACH,
-    BLINKER_LEFT,
-    BLINKER_RIGHT,
-    DELAY,
-    EXIT,
-    FRESH,
-    GRADE,
-    JUNCTION_M,
-    LANE,
-    LANE_POSITION,
-    LENGTH,
-    LOCATION,
-    MOVEMENT,
-    PATH_POSITION,
-    PREV_ACCEL,
-    REGION_LANE,
-    SPEED,
-    STEADY,
-    STOP_LINE,
-    WRONG_LANE,
-)
+from izoo.envs.tables import Float1, Int2, compiled, tables_type
 from izoo.networks.road import APPROACHING, INSIDE, LEAVING, RoadNet
 
 ROUTE_LIMIT = 12
 """Most lanes that a search along a route visits; routes through the region are shorter."""
+_LANE_FIELDS = {
+    "length_m": "lane_length",
+    "limit_mps": "lane_limit_mps",
+    "offset_m": "lane_offset_m",
+    "inside_length_m": "inside_length_m",
+    "location": "lane_location",
+    "index": "lane_index",
+    "siblings": "lane_siblings",
+    "right": "lane_right",
+    "left": "lane_left",
+}
+Lane = np.dtype([(name, "f8" if name.endswith(("_m", "_mps")) else "i4") for name in (*_LANE_FIELDS, "first_segment")])
+"""A lane of :class:`~izoo.networks.road.RoadNet`, and its first row of :attr:`Road.segments`."""
+Segment = np.dtype([("from_m", "f8"), ("grade_pct", "f8")])
 
 
-class RoadArrays(NamedTuple):
-    """The parts of a :class:`RoadNet` that compiled code reads, with its names and shapes."""
+class Road(NamedTuple):
+    """The parts of a :class:`~izoo.networks.road.RoadNet` that compiled code reads, with its names and shapes.
 
-    lane_location: np.ndarray
-    lane_index: np.ndarray
-    lane_siblings: np.ndarray
-    lane_length: np.ndarray
-    lane_limit_mps: np.ndarray
-    lane_offset_m: np.ndarray
-    inside_length_m: np.ndarray
-    next_lane: np.ndarray
-    prev_lane: np.ndarray
-    lane_right: np.ndarray
-    lane_left: np.ndarray
-    segment_start: np.ndarray
-    segment_from_m: np.ndarray
-    segment_grade_pct: np.ndarray
-    movement_turn: np.ndarray
-    lane_length_m: np.ndarray
-
-
-def road_arrays(road: RoadNet) -> RoadArrays:
-    """Pick the compiled code's arrays out of a road net."""
-    return RoadArrays(*(np.ascontiguousarray(getattr(road, name)) for name in RoadArrays._fields))
-
-
-@compiled(borrows=True)
-def update_motion(rows, reading, vehicles, road, step_s):  # type: ignore[no-untyped-def]
-    """Write the simulator's report of ``rows`` into the tables ``vehicles`` (``floats``, ``ints``, ``flags``).
-
-    ``reading`` holds four arrays ``[n]``: region lane, lane position of the front bumper (m), speed (m/s), and signal
-    bits (1 right blinker, 2 left blinker). A fresh row already holds its acceleration. Rows whose speed, acceleration
-    and grade are exactly those of the last step are marked steady: so is their emission.
+    Attributes:
+        lanes: ``[L + 1]`` records; the last holds the end of the segments alone.
+        segments: records; a lane's are ordered by where they begin.
+        next_lane, prev_lane, movement_turn, lane_length_m: as in the net.
     """
-    lane, position, speed, signals = reading
-    floats, ints, flags = vehicles.floats, vehicles.ints, vehicles.flags
-    for j in range(rows.shape[0]):
-        r, new_lane, s = rows[j], lane[j], position[j]
-        fresh, old_speed, old_grade = flags[r, FRESH], floats[r, SPEED], floats[r, GRADE]
+
+    lanes: Annotated[np.ndarray, Lane, 1]
+    segments: Annotated[np.ndarray, Segment, 1]
+    next_lane: Int2
+    prev_lane: Int2
+    movement_turn: Int2
+    lane_length_m: Float1
+
+
+ROAD = tables_type(Road, constant=True)
+
+
+def road_tables(road: RoadNet) -> Road:
+    """Return a road net's tables."""
+    lanes, segments = np.zeros(len(road.lane_ids) + 1, Lane), np.zeros(len(road.segment_from_m), Segment)
+    for name, column in _LANE_FIELDS.items():
+        lanes[name][:-1] = getattr(road, column)
+    lanes["first_segment"] = road.segment_start
+    segments["from_m"], segments["grade_pct"] = road.segment_from_m, road.segment_grade_pct
+    turn, lengths_m = road.movement_turn.astype(np.int32), np.ascontiguousarray(road.lane_length_m, float)
+    return Road(lanes, segments, road.next_lane, road.prev_lane, turn, lengths_m)
+
+
+@compiled
+def update_motion(tables, road, step_s):  # type: ignore[no-untyped-def]
+    """Update the members' records from what the simulator has written there.
+
+    That is ``region_lane``, ``lane_position_m``, ``reported_speed_mps`` and ``signals`` (bits: 1 right blinker, 2 left
+    blinker). A fresh record already holds its acceleration. Those whose speed, acceleration and grade are exactly those
+    of the last step are marked steady: so is their emission.
+    """
+    for j in range(tables.cursor.members):
+        vehicle = tables.vehicles[tables.members[j]]
+        lane, position, speed = vehicle.region_lane, vehicle.lane_position_m, vehicle.reported_speed_mps
+        fresh, old_speed, old_grade = vehicle.fresh, vehicle.speed_mps, vehicle.grade_pct
+        vehicle.prev_accel_mps2 = vehicle.accel_mps2
         if fresh:
-            floats[r, PREV_ACCEL] = floats[r, ACCEL]
-            flags[r, FRESH] = 0
+            vehicle.fresh = 0
         else:
-            floats[r, PREV_ACCEL] = floats[r, ACCEL]
-            floats[r, ACCEL] = (speed[j] - floats[r, SPEED]) / step_s
-        floats[r, SPEED] = speed[j]
-        floats[r, DELAY] = step_s * max(0.0, 1.0 - speed[j] / road.lane_limit_mps[new_lane])
-        floats[r, LANE_POSITION] = s
-        location = road.lane_location[new_lane]
+            vehicle.accel_mps2 = (speed - old_speed) / step_s
+        vehicle.speed_mps = speed
+        vehicle.delay_s = step_s * max(0.0, 1.0 - speed / road.lanes[lane].limit_mps)
+        location = road.lanes[lane].location
         if location == INSIDE:
-            floats[r, JUNCTION_M] = road.inside_length_m[new_lane]
-        path = road.lane_offset_m[new_lane] + s
+            vehicle.junction_m = road.lanes[lane].inside_length_m
+        path = road.lanes[lane].offset_m + position
         if location == LEAVING:
-            path += floats[r, JUNCTION_M]
-            floats[r, STOP_LINE] = s
+            path += vehicle.junction_m
+            vehicle.stop_line_distance_m = position
         elif location == INSIDE:
-            floats[r, STOP_LINE] = 0.0
+            vehicle.stop_line_distance_m = 0.0
         else:
-            floats[r, STOP_LINE] = path
-        floats[r, PATH_POSITION] = path
-        floats[r, GRADE] = mean_grade_pct(new_lane, s, floats[r, LENGTH], ints[r, APPROACH], road)
-        same_motion = speed[j] == old_speed and floats[r, ACCEL] == floats[r, PREV_ACCEL]
-        flags[r, STEADY] = not fresh and same_motion and floats[r, GRADE] == old_grade
-        ints[r, LOCATION] = location
-        ints[r, REGION_LANE] = new_lane
-        ints[r, LANE] = road.lane_index[new_lane]
-        ints[r, MOVEMENT] = road.movement_turn[ints[r, APPROACH], ints[r, EXIT]]
-        flags[r, BLINKER_RIGHT] = signals[j] & 1
-        flags[r, BLINKER_LEFT] = (signals[j] >> 1) & 1
-        flags[r, WRONG_LANE] = location == APPROACHING and road.next_lane[new_lane, ints[r, EXIT]] < 0
+            vehicle.stop_line_distance_m = path
+        vehicle.path_position_m = path
+        vehicle.grade_pct = mean_grade_pct(lane, position, vehicle.length_m, vehicle.approach, road)
+        same_motion = speed == old_speed and vehicle.accel_mps2 == vehicle.prev_accel_mps2
+        vehicle.steady = not fresh and same_motion and vehicle.grade_pct == old_grade
+        vehicle.location = location
+        vehicle.lane = road.lanes[lane].index
+        vehicle.movement = road.movement_turn[vehicle.approach, vehicle.exit]
+        vehicle.blinker_right = vehicle.signals & 1
+        vehicle.blinker_left = (vehicle.signals >> 1) & 1
+        vehicle.wrong_lane = location == APPROACHING and road.next_lane[lane, vehicle.exit] < 0
 
 
-@compiled(borrows=True, forceinline=True)
+@compiled(forceinline=True)
 def mean_grade_pct(lane, position, length, approach, road):  # type: ignore[no-untyped-def]
     """Return the mean grade in percent under a vehicle, positive uphill, which is SUMO's slope from back to front.
 
@@ -116,17 +108,17 @@ def mean_grade_pct(lane, position, length, approach, road):  # type: ignore[no-u
     """
     left, rise = length, 0.0
     for _ in range(ROUTE_LIMIT):
-        first, k = road.segment_start[lane], road.segment_start[lane + 1] - 1
-        while k > first and road.segment_from_m[k] >= position:
+        first, k = road.lanes[lane].first_segment, road.lanes[lane + 1].first_segment - 1
+        while k > first and road.segments[k].from_m >= position:
             k -= 1
         while left > 0.0 and k >= first:
-            piece = min(left, position - road.segment_from_m[k])
-            rise += piece * road.segment_grade_pct[k]
+            piece = min(left, position - road.segments[k].from_m)
+            rise += piece * road.segments[k].grade_pct
             left -= piece
-            position = road.segment_from_m[k]
+            position = road.segments[k].from_m
             k -= 1
         lane = road.prev_lane[lane, approach] if left > 0.0 else -1
         if lane < 0:
             break
-        position = road.lane_length[lane]
+        position = road.lanes[lane].length_m
     return rise / length

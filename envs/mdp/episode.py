@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,42 +12,32 @@ from izoo.contexts.context import ENGINES, Context
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.config import STEP, EnvConfig
 from izoo.envs.mdp.blocked_demand import blocked_s
-from izoo.envs.mdp.columns import (
-    AGENT,
-    APPROACH,
-    EXIT,
-    IS_CV,
-    JUNCTION_M,
-    VEHICLE_FLAGS,
-    VEHICLE_FLOATS,
-    VEHICLE_INTS,
-    YIELDING,
-)
-from izoo.envs.mdp.credit import ENTERED
-from izoo.envs.mdp.displacement import road_arrays
-from izoo.envs.mdp.metric_sums import EPISODE_METRIC, METRIC, MOVEMENTS, OF_COHORT, record_unfinished
-from izoo.envs.mdp.signals import clock_arrays, read_clock
+from izoo.envs.mdp.columns import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
+from izoo.envs.mdp.displacement import road_tables
+from izoo.envs.mdp.metric_sums import MOVEMENTS, OF_COHORT
+from izoo.envs.mdp.signals import clock_tables
 from izoo.envs.mdp.slots import admit_vehicle, release_vehicle
 from izoo.envs.mdp.snapshot import Scene
 from izoo.envs.mdp.state import (
-    DECISION_STEPS,
-    MEMBERS,
-    WRONG_LANE_AGENTS,
-    Frame,
-    demand_arrays,
+    ENTERED,
+    WORLD,
+    World,
+    constants_of,
+    demand_records,
     empty_tables,
-    make_world,
-    rules_of,
-    with_double_rows,
     working_memory,
 )
-from izoo.envs.mdp.step import make_frame, translate_frame_actions
+from izoo.envs.mdp.step import count_unfinished, make_frame, translate_frame_actions
+from izoo.envs.tables import directory
 from izoo.errors import IzooError
 from izoo.networks.road import RoadNet
 from izoo.traffic.sampling import Traffic
 
 Reading = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""Region lane, lane position in m, speed in m/s and signal bits, ``[n]`` each."""
+"""Of the members, ``[n]`` each: region lane (int64), lane position in m, speed in m/s (float64), signals (int64)."""
+
+
+_NO_LANES = np.empty(0, np.int32)
 
 
 class StepCommands(NamedTuple):
@@ -92,7 +83,11 @@ class Episode:
         weights: the emission surrogates.
         context, seed, number: what is played.
         road, traffic: the context's net, and the vehicles of the episode.
-        capacity: minimum number of rows of the tables, which grow where vehicles are admitted by :meth:`admit`.
+        entry_lanes: see :class:`~izoo.envs.mdp.state.World`.
+
+    Attributes:
+        tables: :class:`~izoo.envs.mdp.state.Tables`.
+        world_at: address of the :class:`~izoo.envs.mdp.state.World`, for compiled code.
 
     Raises:
         IzooError: the intersection has more approaches or exits than the frame has rows.
@@ -108,7 +103,7 @@ class Episode:
         number: int,
         road: RoadNet,
         traffic: Traffic,
-        capacity: int = 0,
+        entry_lanes: np.ndarray = _NO_LANES,
     ) -> None:
         ways = max(road.movement_turn.shape)
         if ways > config.num_approaches:
@@ -118,27 +113,31 @@ class Episode:
             )
         self.config, self.frame = config, frame
         self.context, self.seed, self.number, self.road, self.traffic = context, seed, number, road, traffic
-        self.started_s = 0.0
         self._yielding = 0
-        self._weights, self._views = weights, Frame(*(frame[name] for name in Frame._fields))
-        self._demand = demand_arrays(config, context, road, traffic, weights)
-        self._lanes = road_arrays(road)
-        self.clock, self._rules = clock_arrays(road.clock), rules_of(config, context, road, traffic, weights)
-        self.tables = empty_tables(config, len(road.lane_ids), capacity)
-        self._work = working_memory(config, len(road.lane_ids))
-        self._bind()
-        read_clock(0.0, self.clock)
-
-    def _bind(self) -> None:
-        """Make the world of the present tables for compiled code."""
-        self.world = make_world(
-            self.tables, self._work, self._demand, self._lanes, self.clock, self._rules, self._weights, self._views
+        self._weights = weights
+        demand = demand_records(config, context, road, traffic, weights)
+        self._world = World(
+            tables=empty_tables(config, road, demand),
+            work=working_memory(config, road),
+            frame=SimpleNamespace(**frame),
+            road=road_tables(road),
+            clock=clock_tables(road.clock),
+            entry_lanes=entry_lanes,
+            **constants_of(config, context, road, traffic, weights),
         )
+        self.tables = self._world.tables
+        self._directory = directory(self._world, WORLD)
+        self.world_at = self._directory.ctypes.data
 
     @property
     def steps(self) -> int:
         """Steps since the first frame."""
-        return int(self.tables.episode[EPISODE_METRIC["steps"]])
+        return int(self.tables.episode["steps"])
+
+    @property
+    def started_s(self) -> float:
+        """Simulated time at the first frame."""
+        return float(self.tables.cursor["started_s"])
 
     @property
     def time_s(self) -> float:
@@ -153,37 +152,28 @@ class Episode:
     @property
     def between_decisions(self) -> bool:
         """Whether the last decision is complete."""
-        return not self.tables.cursor[DECISION_STEPS]
+        return not self.tables.cursor["decision_steps"]
 
     @property
     def members(self) -> np.ndarray:
         """Rows of the vehicles in the region, ``[n]``, in order of arrival."""
-        return self.tables.members[: self.tables.cursor[MEMBERS]]
-
-    @property
-    def demand_state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Status of each vehicle of the demand, blocked vehicles by approach, and arrival steps; they change."""
-        return self._demand.status, self._demand.blocked, self._demand.arrival_step
+        return self.tables.members[: self.tables.cursor["members"]]
 
     # The methods below change the tables; they come in the order of a step.
 
     def admit(self, number: int, accel_mps2: float, counted: bool = True) -> int:
         """Admit a vehicle that has entered the region; return its row (:func:`izoo.envs.mdp.slots.admit`)."""
-        row = int(admit_vehicle(self.world, number, accel_mps2, counted))
-        if row < 0:
-            self.tables = with_double_rows(self.tables)
-            self._bind()
-            return self.admit(number, accel_mps2, counted)
+        row = int(admit_vehicle(self.world_at, number, accel_mps2, counted))
         if not counted:
             # It may be in the junction already, or behind it: the length of its way there follows from its exit.
-            approach, leaving = self.tables.ints[row, APPROACH], self.tables.ints[row, EXIT]
+            approach, leaving = self.tables.vehicles["approach"][row], self.tables.vehicles["exit"][row]
             way = (self.road.lane_approach == approach) & (self.road.lane_exit == leaving)
-            self.tables.floats[row, JUNCTION_M] = self.road.inside_length_m[way].max(initial=0.0)
+            self.tables.vehicles["junction_m"][row] = self.road.inside_length_m[way].max(initial=0.0)
         return row
 
     def is_agent(self, row: int) -> bool:
         """Whether the vehicle of a row has an agent slot."""
-        return bool(self.tables.ints[row, AGENT] >= 0)
+        return bool(self.tables.vehicles["agent"][row] >= 0)
 
     def begin(self, reading: Reading, started_s: float, early: Sequence[int]) -> None:
         """Write the first frame, from the positions of the vehicles that entered during the warm-up.
@@ -191,17 +181,17 @@ class Episode:
         Args:
             early: numbers of all vehicles that have entered the region, including those that have left it again.
         """
-        self.started_s = started_s
-        self._demand.status[early], self._demand.arrival_step[early] = ENTERED, 0
-        make_frame(self.world, reading, started_s, False, False)
+        self.tables.cursor["started_s"] = started_s
+        demand = self.tables.demand
+        demand["status"][early], demand["arrival_step"][early], demand["early"][early] = ENTERED, 0, 1
+        make_frame(self.world_at, reading, self._weights, started_s, False, False)
         self._write_context()
         for name in ("agent_truncated", "terminated", "truncated", "done", "approach_metrics"):
             self.frame[name][:] = 0
 
-    def resume(self, started_s: float) -> None:
-        """Resume an episode that began at ``started_s``, whose tables and frame were restored from outside."""
-        self.started_s = started_s
-        self._work.written[:] = 1
+    def resume(self) -> None:
+        """Resume an episode whose tables and frame were restored from outside."""
+        self._world.work.written[:] = 1
 
     def commands(self) -> StepCommands:
         """Return the commands for the coming step, from the frame's actions.
@@ -211,23 +201,23 @@ class Episode:
         """
         if self.over:
             raise IzooError(f"the episode ended after {self.steps} steps; call reset() before the next step.")
-        tables = self.tables
-        commands, releases, caps = translate_frame_actions(self.world)
+        work = self._world.work
+        commands, releases, caps = translate_frame_actions(self.world_at)
         return StepCommands(
-            *(tables.command[:commands], tables.target_mps[:commands], tables.release[:releases]),
-            *(tables.capped[:caps], tables.cap_mps[:caps]),
+            *(work.command[:commands], work.target_mps[:commands], work.release[:releases]),
+            *(work.capped[:caps], work.cap_mps[:caps]),
         )
 
     def release(self, row: int) -> None:
         """Remove a vehicle that has left the region from the members."""
-        release_vehicle(self.world, row)
+        release_vehicle(self.world_at, row)
 
     def count_collision(self, row: int) -> None:
         """Count a collision; ``row`` is that of the rear vehicle."""
-        column = METRIC["collisions_cv" if self.tables.flags[row, IS_CV] else "collisions_hdv"]
+        name = "collisions_cv" if self.tables.vehicles["is_cv"][row] else "collisions_hdv"
         if self.steps < self.config.control_steps:
-            self.tables.sums[self.tables.ints[row, APPROACH], column] += 1
-        self.tables.episode[EPISODE_METRIC["collisions"]] += 1
+            self.tables.sums[name][self.tables.vehicles["approach"][row]] += 1
+        self.tables.episode["collisions"] += 1
 
     def write_frame(self, reading: Reading, all_left: Callable[[], bool]) -> np.ndarray:
         """Write the frame after a step, from the members' present positions.
@@ -241,16 +231,16 @@ class Episode:
         """
         playing_out = self.config.decide != STEP and self.steps >= self.config.control_steps
         time_s = self.started_s + (self.steps + 1) * self.config.step_s
-        make_frame(self.world, reading, time_s, True, playing_out and all_left())
-        return self.tables.wrong_lane_agents[: self.tables.cursor[WRONG_LANE_AGENTS]]
+        make_frame(self.world_at, reading, self._weights, time_s, True, playing_out and all_left())
+        return self.tables.wrong_lane_agents[: self.tables.cursor["wrong_lane_agents"]]
 
     def mark_yielding(self, rows: Sequence[int]) -> None:
         """Set which agents the simulator slows for a lane change; they are left to it in the next step."""
         if not self._yielding and not rows:
             return
         if self._yielding:
-            self.tables.flags[:, YIELDING] = 0
-        self.tables.flags[rows, YIELDING] = 1
+            self.tables.vehicles["yielding"][self.members] = 0
+        self.tables.vehicles["yielding"][rows] = 1
         self._yielding = len(rows)
 
     def end_step(self, ending: Callable[[], DemandAtHorizon], all_left: Callable[[], bool]) -> None:
@@ -269,42 +259,51 @@ class Episode:
         if self.steps == config.total_steps or all_left():
             self._finish()
 
+    @property
+    def _sums(self) -> np.ndarray:
+        """Metrics of each approach, ``[P, M]``."""
+        return self.tables.sums.view(np.float64).reshape(2 * self.config.num_approaches, -1)[
+            : self.config.num_approaches
+        ]
+
     def _complete_horizon_sums(self, ending: DemandAtHorizon) -> None:
         """Complete the sums that stop at the horizon."""
-        tables = self.tables
-        record_unfinished(self.members, tables.floats, tables.ints, tables.flags, tables.sums)
+        count_unfinished(self.world_at)
         for name, numbers in ending._asdict().items():
             self._add_to_sums(name, np.asarray(numbers, np.int64), 1.0)
-        self.frame["approach_metrics"][:] = tables.sums
+        self.frame["approach_metrics"][:] = self._sums
 
     def _finish(self) -> None:
         """Truncate the agents that are still there, and complete the sums of the cohort."""
-        demand, frame = self._demand, self.frame
-        blocked = blocked_s(demand.arrival_step, demand.earliest_s, self.started_s, self.steps, self.config.step_s)
-        cohort = np.flatnonzero(demand.cohort)
+        demand, frame = self.tables.demand, self.frame
+        times = demand["arrival_step"], demand["earliest_s"]
+        blocked = blocked_s(*times, self.started_s, self.steps, self.config.step_s)
+        cohort = np.flatnonzero(demand["cohort"])
         self._add_to_sums("cohort", cohort, 1.0)
         self._add_to_sums("cohort_blocked_s", cohort, blocked[cohort])
-        self._add_to_sums("cohort_blocked_co2_g", cohort, (blocked * demand.idle_gps)[cohort])
+        self._add_to_sums("cohort_blocked_co2_g", cohort, (blocked * demand["idle_gps"])[cohort])
         frame["agent_truncated"][:] = frame["mask"]
         frame["agent_done"][:] |= frame["mask"]
         frame["truncated"][:] = frame["done"][:] = 1
-        frame["approach_metrics"][:] = self.tables.sums
+        frame["approach_metrics"][:] = self._sums
 
     def _add_to_sums(self, name: str, numbers: np.ndarray, values: np.ndarray | float) -> None:
         """Add values of vehicles of the demand to a sum of their approaches, and of their movements."""
         approach = self.traffic.approach[numbers]
-        np.add.at(self.tables.sums[:, METRIC[name]], approach, values)
+        np.add.at(self.tables.sums[name], approach, values)
         if name in OF_COHORT:
             turn = self.road.movement_turn[approach, self.traffic.exit[numbers]]
-            np.add.at(self.tables.sums, (approach, METRIC[f"{MOVEMENTS[0]}_{name}"] + turn), values)
+            values = np.broadcast_to(values, turn.shape)
+            for number, movement in enumerate(MOVEMENTS):
+                chosen = turn == number
+                np.add.at(self.tables.sums[f"{movement}_{name}"], approach[chosen], values[chosen])
 
     def scene(self) -> Scene:
         """Return copies of the present state."""
         tables, rows = self.tables, self.members
-        columns = dict(zip(VEHICLE_FLOATS, tables.floats[rows].T, strict=False))
-        columns |= zip(VEHICLE_INTS, tables.ints[rows].T, strict=False)
-        columns |= zip(VEHICLE_FLAGS, tables.flags[rows].T.astype(bool), strict=False)
-        return Scene(self.context, self.road, self.time_s, columns, self.clock.now.copy(), tables.sums.copy())
+        columns = {name: tables.vehicles[name][rows] for name in (*VEHICLE_FLOATS, *VEHICLE_INTS)}
+        columns |= {name: tables.vehicles[name][rows].astype(bool) for name in VEHICLE_FLAGS}
+        return Scene(self.context, self.road, self.time_s, columns, tables.signal["colour"].copy(), self._sums.copy())
 
     def _write_context(self) -> None:
         context, frame = self.context, self.frame
@@ -318,6 +317,7 @@ class Episode:
         frame["approach_mask"][:] = 0
         frame["approach_mask"][: len(self.road.approaches)] = 1
         if "signal" in self.config.emit:
-            p, q = self.clock.now.shape
+            signal = self.tables.signal
+            p, q = signal.shape
             frame["signal_colour"][:], frame["signal_time_left_s"][:] = 2, 0.0
-            frame["signal_colour"][:p, :q], frame["signal_time_left_s"][:p, :q] = self.clock.now, self.clock.time_left_s
+            frame["signal_colour"][:p, :q], frame["signal_time_left_s"][:p, :q] = signal["colour"], signal["change_s"]

@@ -73,6 +73,15 @@ def frame_fields(config: EnvConfig) -> Iterator[Field]:
     yield Field("context_ids", i64, (len(CONTEXT_IDS),))  # episode number, context id or -1, seed
 
 
+def frame_types() -> Iterator[tuple[str, str, int, int]]:
+    """Yield name, element type and dimensions of the arrays of a frame, for compiled code."""
+    for field in frame_fields(EnvConfig()):
+        if field.name != TOTALS:
+            yield field.name, field.dtype.name, len(field.shape), 0
+    yield "episode_metrics", "float32", 1, 0
+    yield "approach_metrics", "float32", 2, 0
+
+
 def frame_bytes(config: EnvConfig, num_envs: int) -> int:
     """Size of the buffer that holds the frames of ``num_envs`` environments."""
     return sum(_padded(field, num_envs) for field in frame_fields(config))

@@ -12,36 +12,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from izoo.compiling import compiled
-from izoo.envs.mdp.columns import (
-    ACCEL,
-    AGENT,
-    APPROACH,
-    COHORT,
-    COUNTED,
-    CROSSED,
-    DELAY,
-    EMISSION,
-    ENTRY_M,
-    EXIT,
-    IS_CV,
-    JUNCTION_M,
-    LOCATION,
-    MIN_TTC,
-    MOVEMENT,
-    PATH_POSITION,
-    PREV_ACCEL,
-    SPEED,
-    SUM_ACCEL,
-    SUM_EMISSION,
-    SUM_JERK,
-    SUM_STEPS,
-    SUM_STOPPED,
-    TTC,
-)
 from izoo.envs.mdp.reward import TTC_CAP_S
+from izoo.envs.tables import compiled
 from izoo.networks.clock import RED
 from izoo.networks.road import APPROACHING
+from izoo.networks.turning import LEFT, RIGHT, STRAIGHT
 
 MOVEMENTS = ("right", "straight", "left")
 """The movements of an approach, by the value of ``("vehicles", "movement")``."""
@@ -117,166 +92,152 @@ EPISODE_METRICS: tuple[str, ...] = (
 METRIC = {name: column for column, name in enumerate(APPROACH_METRICS)}
 EPISODE_METRIC = {name: column for column, name in enumerate(EPISODE_METRICS)}
 
+Sums = np.dtype([(name, "f8") for name in APPROACH_METRICS])
+EpisodeSums = np.dtype([("episode_return" if name == "return" else name, "f8") for name in EPISODE_METRICS])
+"""The same as records: ``sums[p].crossed`` of approach ``p``, and ``episode.steps``."""
+
 GRIDLOCK_S = 180.0
 """The region is in gridlock when none of its vehicles has moved for this long."""
 MOVING_MPS = 0.1
 STOPPED_MPS = 1.0
 """A vehicle slower than this is stopped, in the metrics (the reward has its own ``tau_mps``, equal by default)."""
 
-_ENTERED = METRIC["entered"]
-_CROSSED = METRIC["crossed"]
-_CROSSED_HDV = METRIC["crossed_hdv"]
-_EMISSION_G = METRIC["emission_g"]
-_EMISSION_HDV_G = METRIC["emission_hdv_g"]
-_REGION_EMISSION_G = METRIC["region_emission_g"]
-_UNFINISHED = METRIC["unfinished"]
-_UNFINISHED_EMISSION_G = METRIC["unfinished_emission_g"]
-_VEHICLE_STEPS = METRIC["vehicle_steps"]
-_TRAVEL_TIME_S = METRIC["travel_time_s"]
-_REGION_TIME_S = METRIC["region_time_s"]
-_DISTANCE_M = METRIC["distance_m"]
-_STOPPED_TIME_S = METRIC["stopped_time_s"]
-_ABS_ACCEL = METRIC["abs_accel_sum"]
-_ABS_JERK = METRIC["abs_jerk_sum"]
-_MIN_TTC_SUM_S = METRIC["min_ttc_sum_s"]
-_MIN_TTC_VEHICLES = METRIC["min_ttc_vehicles"]
-_RED_CROSSINGS_CV = METRIC["red_crossings_cv"]
-_RED_CROSSINGS_HDV = METRIC["red_crossings_hdv"]
-_UNSLOTTED_STEPS = METRIC["unslotted_steps"]
-_COHORT_CO2_G = METRIC["cohort_region_co2_g"]
-_COHORT_DELAY_S = METRIC["cohort_region_delay_s"]
-_MOVEMENT_DELAY_S = METRIC["right_cohort_region_delay_s"]
-_QUEUE, _QUEUE_MAX = METRIC["right_queue"], METRIC["right_queue_max"]
-_NUM_MOVEMENTS = len(MOVEMENTS)
-_STEPS = EPISODE_METRIC["steps"]
-_RETURN = EPISODE_METRIC["return"]
-_REWARD_SUM = EPISODE_METRIC["reward_sum"]
-_EPISODE_AGENT_STEPS = EPISODE_METRIC["agent_steps"]
-_EPISODE_VEHICLE_STEPS = EPISODE_METRIC["vehicle_steps"]
-_STILL_S = EPISODE_METRIC["still_s"]
-_GRIDLOCK = EPISODE_METRIC["gridlock"]
 
-
-@compiled(borrows=True)
-def accumulate_step(rows, floats, ints, flags, colour, legal, step_s, sums):  # type: ignore[no-untyped-def]
+@compiled
+def accumulate_step(world, phase, base):  # type: ignore[no-untyped-def]
     """Add the step to every vehicle's sums, and a vehicle's sums to its approach's when it crosses the stop line.
 
-    ``colour`` and ``legal`` ``[P, Q]`` are the signal in force during the step.
+    Args:
+        world: the :class:`~izoo.envs.mdp.state.World`.
+        phase: of the signal, in force during the step.
+        base: first row of the sums (:func:`~izoo.envs.mdp.slots.first_sums`).
     """
-    for j in range(rows.shape[0]):
-        r = rows[j]
-        p = ints[r, APPROACH]
-        counted = flags[r, COUNTED]
+    tables, step_s = world.tables, world.rules.step_s
+    for j in range(tables.cursor.members):
+        vehicle = tables.vehicles[tables.members[j]]
+        sums = tables.sums[base + vehicle.approach]
+        counted = vehicle.counted
         if counted:
-            sums[p, _REGION_EMISSION_G] += floats[r, EMISSION]
-            sums[p, _REGION_TIME_S] += step_s
-        if flags[r, CROSSED]:
+            sums.region_emission_g += vehicle.emission_g
+            sums.region_time_s += step_s
+        if vehicle.crossed:
             continue
-        floats[r, SUM_EMISSION] += floats[r, EMISSION]
-        floats[r, SUM_STEPS] += 1
-        floats[r, SUM_STOPPED] += floats[r, SPEED] < STOPPED_MPS
-        floats[r, SUM_ACCEL] += abs(floats[r, ACCEL])
-        floats[r, SUM_JERK] += abs(floats[r, ACCEL] - floats[r, PREV_ACCEL]) / step_s
-        floats[r, MIN_TTC] = min(floats[r, MIN_TTC], floats[r, TTC])
-        if ints[r, LOCATION] == APPROACHING:
+        vehicle.sum_emission_g += vehicle.emission_g
+        vehicle.sum_steps += 1
+        vehicle.sum_stopped_steps += vehicle.speed_mps < STOPPED_MPS
+        vehicle.sum_abs_accel += abs(vehicle.accel_mps2)
+        vehicle.sum_abs_jerk += abs(vehicle.accel_mps2 - vehicle.prev_accel_mps2) / step_s
+        vehicle.min_ttc_s = min(vehicle.min_ttc_s, vehicle.ttc_s)
+        if vehicle.location == APPROACHING:
             continue
-        flags[r, CROSSED] = 1
-        on_red = colour[p, ints[r, EXIT]] == RED and not legal[p, ints[r, EXIT]]
+        vehicle.crossed = 1
+        shown = world.clock.shown[vehicle.approach * tables.signal.shape[1] + vehicle.exit, phase]
         if counted:
-            _record_crossing(r, p, floats, flags, step_s, on_red, sums)
+            _record_crossing(vehicle, sums, step_s, shown.colour == RED and not shown.legal_on_red)
 
 
-@compiled(borrows=True)
-def accumulate_cohort(rows, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
+@compiled
+def accumulate_cohort(tables):  # type: ignore[no-untyped-def]
     """Add the cohort's CO2 and delay of the step, which are counted until the episode ends."""
-    for j in range(rows.shape[0]):
-        r = rows[j]
-        if flags[r, COHORT]:
-            sums[ints[r, APPROACH], _COHORT_CO2_G] += floats[r, EMISSION]
-            sums[ints[r, APPROACH], _COHORT_DELAY_S] += floats[r, DELAY]
-            sums[ints[r, APPROACH], _MOVEMENT_DELAY_S + ints[r, MOVEMENT]] += floats[r, DELAY]
+    for j in range(tables.cursor.members):
+        vehicle = tables.vehicles[tables.members[j]]
+        if vehicle.cohort:
+            sums = tables.sums[vehicle.approach]
+            sums.cohort_region_co2_g += vehicle.emission_g
+            sums.cohort_region_delay_s += vehicle.delay_s
+            if vehicle.movement == RIGHT:
+                sums.right_cohort_region_delay_s += vehicle.delay_s
+            elif vehicle.movement == STRAIGHT:
+                sums.straight_cohort_region_delay_s += vehicle.delay_s
+            else:
+                sums.left_cohort_region_delay_s += vehicle.delay_s
 
 
-@compiled(borrows=True)
-def count_queues(rows, floats, ints, sums):  # type: ignore[no-untyped-def]
+@compiled
+def count_queues(tables, base):  # type: ignore[no-untyped-def]
     """Count the vehicles that stand before the stop line, by movement."""
-    for p in range(sums.shape[0]):
-        for m in range(_NUM_MOVEMENTS):
-            sums[p, _QUEUE + m] = 0.0
-    for j in range(rows.shape[0]):
-        r = rows[j]
-        if ints[r, LOCATION] == APPROACHING and floats[r, SPEED] < STOPPED_MPS:
-            sums[ints[r, APPROACH], _QUEUE + ints[r, MOVEMENT]] += 1
-    for p in range(sums.shape[0]):
-        for m in range(_NUM_MOVEMENTS):
-            sums[p, _QUEUE_MAX + m] = max(sums[p, _QUEUE_MAX + m], sums[p, _QUEUE + m])
+    rows = range(base, base + tables.sums.shape[0] // 2)
+    for p in rows:
+        tables.sums[p].right_queue = tables.sums[p].straight_queue = tables.sums[p].left_queue = 0.0
+    for j in range(tables.cursor.members):
+        vehicle = tables.vehicles[tables.members[j]]
+        if vehicle.location == APPROACHING and vehicle.speed_mps < STOPPED_MPS:
+            sums = tables.sums[base + vehicle.approach]
+            sums.right_queue += vehicle.movement == RIGHT
+            sums.straight_queue += vehicle.movement == STRAIGHT
+            sums.left_queue += vehicle.movement == LEFT
+    for p in rows:
+        sums = tables.sums[p]
+        sums.right_queue_max = max(sums.right_queue_max, sums.right_queue)
+        sums.straight_queue_max = max(sums.straight_queue_max, sums.straight_queue)
+        sums.left_queue_max = max(sums.left_queue_max, sums.left_queue)
 
 
-@compiled(borrows=True)
-def _record_crossing(r, p, floats, flags, step_s, on_red, sums):  # type: ignore[no-untyped-def]
-    sums[p, _CROSSED] += 1
-    sums[p, _EMISSION_G] += floats[r, SUM_EMISSION]
-    sums[p, _VEHICLE_STEPS] += floats[r, SUM_STEPS]
-    sums[p, _TRAVEL_TIME_S] += floats[r, SUM_STEPS] * step_s
-    sums[p, _DISTANCE_M] += floats[r, PATH_POSITION] - floats[r, ENTRY_M]
-    sums[p, _STOPPED_TIME_S] += floats[r, SUM_STOPPED] * step_s
-    sums[p, _ABS_ACCEL] += floats[r, SUM_ACCEL]
-    sums[p, _ABS_JERK] += floats[r, SUM_JERK]
-    if floats[r, MIN_TTC] < np.inf:
-        sums[p, _MIN_TTC_SUM_S] += min(floats[r, MIN_TTC], TTC_CAP_S)
-        sums[p, _MIN_TTC_VEHICLES] += 1
-    if flags[r, IS_CV]:
-        sums[p, _RED_CROSSINGS_CV] += on_red
+@compiled
+def _record_crossing(vehicle, sums, step_s, on_red):  # type: ignore[no-untyped-def]
+    sums.crossed += 1
+    sums.emission_g += vehicle.sum_emission_g
+    sums.vehicle_steps += vehicle.sum_steps
+    sums.travel_time_s += vehicle.sum_steps * step_s
+    sums.distance_m += vehicle.path_position_m - vehicle.entry_m
+    sums.stopped_time_s += vehicle.sum_stopped_steps * step_s
+    sums.abs_accel_sum += vehicle.sum_abs_accel
+    sums.abs_jerk_sum += vehicle.sum_abs_jerk
+    if vehicle.min_ttc_s < np.inf:
+        sums.min_ttc_sum_s += min(vehicle.min_ttc_s, TTC_CAP_S)
+        sums.min_ttc_vehicles += 1
+    if vehicle.is_cv:
+        sums.red_crossings_cv += on_red
     else:
-        sums[p, _RED_CROSSINGS_HDV] += on_red
-        sums[p, _CROSSED_HDV] += 1
-        sums[p, _EMISSION_HDV_G] += floats[r, SUM_EMISSION]
+        sums.red_crossings_hdv += on_red
+        sums.crossed_hdv += 1
+        sums.emission_hdv_g += vehicle.sum_emission_g
 
 
-@compiled(borrows=True)
-def record_entry(r, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
-    """Reset the sums of a vehicle that has just been given row ``r``, and count its entry."""
-    floats[r, SUM_EMISSION] = 0.0
-    floats[r, SUM_STEPS] = 0.0
-    floats[r, SUM_STOPPED] = 0.0
-    floats[r, SUM_ACCEL] = 0.0
-    floats[r, SUM_JERK] = 0.0
-    floats[r, JUNCTION_M] = 0.0
-    floats[r, MIN_TTC] = np.inf
-    if flags[r, COUNTED]:
-        sums[ints[r, APPROACH], _ENTERED] += 1
+@compiled
+def record_entry(vehicle, sums):  # type: ignore[no-untyped-def]
+    """Reset the sums of a vehicle that has just been given its row, and count its entry."""
+    vehicle.sum_emission_g = 0.0
+    vehicle.sum_steps = 0.0
+    vehicle.sum_stopped_steps = 0.0
+    vehicle.sum_abs_accel = 0.0
+    vehicle.sum_abs_jerk = 0.0
+    vehicle.junction_m = 0.0
+    vehicle.min_ttc_s = np.inf
+    if vehicle.counted:
+        sums.entered += 1
 
 
-@compiled(borrows=True)
-def record_unfinished(rows, floats, ints, flags, sums):  # type: ignore[no-untyped-def]
+@compiled
+def record_unfinished(tables):  # type: ignore[no-untyped-def]
     """Add the counted vehicles that have not crossed by the horizon."""
-    for j in range(rows.shape[0]):
-        r = rows[j]
-        if flags[r, COUNTED] and not flags[r, CROSSED]:
-            sums[ints[r, APPROACH], _UNFINISHED] += 1
-            sums[ints[r, APPROACH], _UNFINISHED_EMISSION_G] += floats[r, SUM_EMISSION]
+    for j in range(tables.cursor.members):
+        vehicle = tables.vehicles[tables.members[j]]
+        if vehicle.counted and not vehicle.crossed:
+            tables.sums[vehicle.approach].unfinished += 1
+            tables.sums[vehicle.approach].unfinished_emission_g += vehicle.sum_emission_g
 
 
-@compiled(borrows=True)
-def accumulate_episode(rows, tables, reward, step_s, sums):  # type: ignore[no-untyped-def]
+@compiled
+def accumulate_episode(tables, reward, step_s, base):  # type: ignore[no-untyped-def]
     """Add the step to the episode's sums ``tables.episode``, and CVs without a slot to those of their approach."""
-    floats, ints, episode = tables.floats, tables.ints, tables.episode
+    episode, count = tables.episode, tables.cursor.members
     agents, total, fastest = 0, 0.0, 0.0
     for a in range(tables.acting.shape[0]):
         if tables.acting[a] >= 0:
             agents += 1
             total += reward[a]
-    for j in range(rows.shape[0]):
-        r = rows[j]
-        fastest = max(fastest, floats[r, SPEED])
-        if tables.flags[r, IS_CV] and ints[r, AGENT] < 0:
-            sums[ints[r, APPROACH], _UNSLOTTED_STEPS] += 1
-    episode[_STEPS] += 1
-    episode[_REWARD_SUM] += total
-    episode[_EPISODE_AGENT_STEPS] += agents
-    episode[_EPISODE_VEHICLE_STEPS] += rows.shape[0]
+    for j in range(tables.cursor.members):
+        vehicle = tables.vehicles[tables.members[j]]
+        fastest = max(fastest, vehicle.speed_mps)
+        if vehicle.is_cv and vehicle.agent < 0:
+            tables.sums[base + vehicle.approach].unslotted_steps += 1
+    episode.steps += 1
+    episode.reward_sum += total
+    episode.agent_steps += agents
+    episode.vehicle_steps += count
     if agents:
-        episode[_RETURN] += total / agents
-    episode[_STILL_S] = episode[_STILL_S] + step_s if rows.shape[0] and fastest < MOVING_MPS else 0.0
-    if episode[_STILL_S] >= GRIDLOCK_S:
-        episode[_GRIDLOCK] = 1.0
+        episode.episode_return += total / agents
+    episode.still_s = episode.still_s + step_s if count and fastest < MOVING_MPS else 0.0
+    if episode.still_s >= GRIDLOCK_S:
+        episode.gridlock = 1.0

@@ -15,17 +15,6 @@ import numpy as np
 
 from izoo.contexts.context import ENGINES, Context
 from izoo.contexts.features import BY_NAME, scales
-from izoo.envs.mdp.columns import (
-    APPROACH,
-    BLINKER_LEFT,
-    BLINKER_RIGHT,
-    EXIT,
-    LOCATION,
-    MOVEMENT,
-    REGION_LANE,
-    SPEED,
-    STOP_LINE,
-)
 from izoo.networks.clock import GREEN, RED, YELLOW
 from izoo.networks.road import APPROACHING, INSIDE, LEAVING, RoadNet
 from izoo.networks.turning import LEFT, RIGHT, STRAIGHT
@@ -45,11 +34,11 @@ class Column:
         name: its name; a neighbour's column has the neighbour's name before it.
         unit: of the value before it is divided by the scale; empty for flags and shares.
         scale: the observation holds ``value / scale``.
-        value: gives the value; it is compiled. An ego column's is ``value(r, vehicles, road, clock)`` for the vehicle
-            in row ``r`` of the tables ``vehicles`` (``floats``, ``ints``, ``flags``:
-            :mod:`izoo.envs.mdp.columns`), the arrays of the road and the state of the signals. A neighbour column's is
-            ``value(other, gap_m, lane_exists, vehicles)``, where row ``other`` is -1 and the gap :data:`FAR_M` if
-            the neighbour is absent.
+        value: gives the value; it is compiled. An ego column's is ``value(vehicle, road, signal)`` of a vehicle
+            (:data:`izoo.envs.mdp.columns.Vehicle`), the road (:class:`~izoo.envs.mdp.displacement.Road`) and what its
+            movement is shown (:data:`~izoo.envs.mdp.signals.Shown`). A neighbour column's is
+            ``value(other, present, gap_m, lane_exists)``; if the neighbour is absent, the gap is
+            :data:`FAR_M` and the record ``other`` is of no meaning.
         meaning: further explanation.
     """
 
@@ -60,49 +49,49 @@ class Column:
     meaning: str = ""
 
 
-def _speed(r: int, vehicles: Any, road: Any, clock: Any) -> float:
-    return vehicles.floats[r, SPEED]
+def _speed(vehicle: Any, road: Any, signal: Any) -> float:
+    return vehicle.speed_mps
 
 
-def _stop_line(r: int, vehicles: Any, road: Any, clock: Any) -> float:
-    return vehicles.floats[r, STOP_LINE]
+def _stop_line(vehicle: Any, road: Any, signal: Any) -> float:
+    return vehicle.stop_line_distance_m
 
 
-def _lane(r: int, vehicles: Any, road: Any, clock: Any) -> float:
-    lane = vehicles.ints[r, REGION_LANE]
-    siblings = road.lane_siblings[lane]
-    return road.lane_index[lane] / (siblings - 1) if siblings > 1 else 0.0
+def _lane(vehicle: Any, road: Any, signal: Any) -> float:
+    lane = road.lanes[vehicle.region_lane]
+    siblings = lane.siblings
+    return lane.index / (siblings - 1) if siblings > 1 else 0.0
 
 
-def _time_left(r: int, vehicles: Any, road: Any, clock: Any) -> float:
-    return clock.time_left_s[vehicles.ints[r, APPROACH], vehicles.ints[r, EXIT]]
+def _time_left(vehicle: Any, road: Any, signal: Any) -> float:
+    return signal.change_s
 
 
-def _second_green(r: int, vehicles: Any, road: Any, clock: Any) -> float:
-    return clock.until_second_s[vehicles.ints[r, APPROACH], vehicles.ints[r, EXIT]]
+def _second_green(vehicle: Any, road: Any, signal: Any) -> float:
+    return signal.second_green_s
 
 
-def _third_green(r: int, vehicles: Any, road: Any, clock: Any) -> float:
-    return clock.until_third_s[vehicles.ints[r, APPROACH], vehicles.ints[r, EXIT]]
+def _third_green(vehicle: Any, road: Any, signal: Any) -> float:
+    return signal.third_green_s
 
 
 def _located(where: int) -> Callable[..., float]:
-    def value(r: int, vehicles: Any, road: Any, clock: Any) -> float:
-        return 1.0 if vehicles.ints[r, LOCATION] == where else 0.0
+    def value(vehicle: Any, road: Any, signal: Any) -> float:
+        return 1.0 if vehicle.location == where else 0.0
 
     return value
 
 
 def _turning(turn: int) -> Callable[..., float]:
-    def value(r: int, vehicles: Any, road: Any, clock: Any) -> float:
-        return 1.0 if vehicles.ints[r, MOVEMENT] == turn else 0.0
+    def value(vehicle: Any, road: Any, signal: Any) -> float:
+        return 1.0 if vehicle.movement == turn else 0.0
 
     return value
 
 
 def _shows(colour: int) -> Callable[..., float]:
-    def value(r: int, vehicles: Any, road: Any, clock: Any) -> float:
-        return 1.0 if clock.now[vehicles.ints[r, APPROACH], vehicles.ints[r, EXIT]] == colour else 0.0
+    def value(vehicle: Any, road: Any, signal: Any) -> float:
+        return 1.0 if signal.colour == colour else 0.0
 
     return value
 
@@ -126,27 +115,27 @@ EGO_COLUMNS = (
 )
 
 
-def _other_speed(other: int, gap_m: float, lane_exists: bool, vehicles: Any) -> float:
-    return vehicles.floats[other, SPEED] if other >= 0 else 0.0
+def _other_speed(other: Any, present: bool, gap_m: float, lane_exists: bool) -> float:
+    return other.speed_mps if present else 0.0
 
 
-def _other_distance(other: int, gap_m: float, lane_exists: bool, vehicles: Any) -> float:
+def _other_distance(other: Any, present: bool, gap_m: float, lane_exists: bool) -> float:
     return gap_m
 
 
-def _other_blinker_left(other: int, gap_m: float, lane_exists: bool, vehicles: Any) -> float:
-    return float(vehicles.flags[other, BLINKER_LEFT]) if other >= 0 else 0.0
+def _other_blinker_left(other: Any, present: bool, gap_m: float, lane_exists: bool) -> float:
+    return float(other.blinker_left) if present else 0.0
 
 
-def _other_blinker_right(other: int, gap_m: float, lane_exists: bool, vehicles: Any) -> float:
-    return float(vehicles.flags[other, BLINKER_RIGHT]) if other >= 0 else 0.0
+def _other_blinker_right(other: Any, present: bool, gap_m: float, lane_exists: bool) -> float:
+    return float(other.blinker_right) if present else 0.0
 
 
-def _other_present(other: int, gap_m: float, lane_exists: bool, vehicles: Any) -> float:
-    return 1.0 if other >= 0 else 0.0
+def _other_present(other: Any, present: bool, gap_m: float, lane_exists: bool) -> float:
+    return 1.0 if present else 0.0
 
 
-def _lane_exists(other: int, gap_m: float, lane_exists: bool, vehicles: Any) -> float:
+def _lane_exists(other: Any, present: bool, gap_m: float, lane_exists: bool) -> float:
     return 1.0 if lane_exists else 0.0
 
 

@@ -5,89 +5,78 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from izoo.compiling import compiled, line_writer
-from izoo.envs.mdp.columns import APPROACH, EXIT, LANE_POSITION, LENGTH, PLACE, REGION_LANE
+from izoo.compiling import line_writer
 from izoo.envs.mdp.neighbours import find_follower, find_leader, first_at_or_beyond
 from izoo.envs.mdp.observation import EGO_COLUMNS, FAR_M, NEIGHBOUR_COLUMNS, Column
-
-NUM_SEEN = len(NEIGHBOUR_COLUMNS)
+from izoo.envs.tables import compiled
 
 
 def _writer(columns: Sequence[Column], arguments: str) -> Any:
     return line_writer([column.value for column in columns], [column.scale for column in columns], arguments)
 
 
-_write_ego = _writer(EGO_COLUMNS, "r, vehicles, road, clock")
-_write_neighbour = _writer(NEIGHBOUR_COLUMNS, "other, gap_m, lane_exists, vehicles")
+_write_ego = _writer(EGO_COLUMNS, "vehicle, road, signal")
+_write_neighbour = _writer(NEIGHBOUR_COLUMNS, "other, present, gap_m, lane_exists")
 
 
-@compiled(borrows=True)
-def write_observations(agent_row, written, vehicles, road, clock, sensors, out):  # type: ignore[no-untyped-def]
-    """Write the observation ``out [A, F]`` of every agent slot; empty slots (row -1) become zero.
-
-    Args:
-        agent_row: ``[A]`` rows of the tables ``vehicles`` (``floats``, ``ints``, ``flags``, ``order``, ``lane_start``).
-        written: ``[A]`` whether a slot's line may be non-zero; lines that are zero are not cleared again.
-        road, clock: arrays of the road, and the state of the signals.
-        sensors: ``features [P, Q, O]``, observed context features of each movement, scaled; ``columns [6]`` from
-            :func:`~izoo.envs.mdp.observation.neighbour_columns`; ``sensor_range_m``, beyond which vehicles count as
-            absent.
-    """
-    features, columns = sensors.features, sensors.columns
-    first_feature = out.shape[1] - features.shape[2]
-    for a in range(agent_row.shape[0]):
-        r = agent_row[a]
-        if r < 0 and not written[a]:
+@compiled
+def write_observations(world):  # type: ignore[no-untyped-def]
+    """Write the observation of every agent slot to the frame; that of an empty slot becomes zero."""
+    tables, features, columns, out = world.tables, world.features, world.neighbour_columns, world.frame.observation
+    written = world.work.written
+    first_feature = out.shape[1] - features.shape[1]
+    for a in range(tables.agent_row.shape[0]):
+        r = tables.agent_row[a]
+        if r < 0 and not written[a]:  # it is zero already
             continue
         line = out[a]
-        line[:] = 0.0
+        for c in range(line.shape[0]):
+            line[c] = 0.0
         written[a] = r >= 0
         if r < 0:
             continue
-        _write_ego(r, vehicles, road, clock, line)
-        p, q = vehicles.ints[r, APPROACH], vehicles.ints[r, EXIT]
+        vehicle = tables.vehicles[r]
+        p, q = vehicle.approach, vehicle.exit
+        _write_ego(vehicle, world.road, tables.signal[p, q], line, 0)
         for side in range(3):
             if columns[2 * side] >= 0 or columns[2 * side + 1] >= 0:
-                _write_neighbours(side, r, vehicles, road, sensors, line)
-        for j in range(features.shape[2]):
-            line[first_feature + j] = features[p, q, j]
+                _write_neighbours(side, r, world, line)
+        for j in range(features.shape[1]):
+            line[first_feature + j] = features[p * tables.signal.shape[1] + q, j]
 
 
-@compiled(borrows=True, forceinline=True)
-def _write_neighbours(side, r, vehicles, road, sensors, line):  # type: ignore[no-untyped-def]
+@compiled(forceinline=True)
+def _write_neighbours(side, r, world, line):  # type: ignore[no-untyped-def]
     """Write leader and follower of vehicle ``r`` on a side (0 its own lane, 1 left, 2 right)."""
-    floats, ints, columns = vehicles.floats, vehicles.ints, sensors.columns
-    lane, position, ahead = _neighbour_lane(side, r, vehicles, road)
+    tables, road, columns = world.tables, world.road, world.neighbour_columns
+    vehicles = tables.vehicles
+    lane, position, ahead = _neighbour_lane(side, r, tables, road)
     for back in range(2):
         column = columns[2 * side + back]
         if column < 0:
             continue
         other, gap = -1, FAR_M
         if lane >= 0 and back == 0:
-            other, gap = find_leader(lane, position, ahead, ints[r, EXIT], r, vehicles, road)
+            other, gap = find_leader(lane, position, ahead, vehicles[r].exit, r, tables, road)
         elif lane >= 0:
             last = ahead - 2 if side == 0 else ahead - 1
-            approach = ints[r, APPROACH]
-            other, gap = find_follower(lane, position, last, floats[r, LENGTH], approach, r, vehicles, road)
-        if other < 0 or gap > sensors.sensor_range_m:
+            approach = vehicles[r].approach
+            other, gap = find_follower(lane, position, last, vehicles[r].length_m, approach, r, tables, road)
+        if other < 0 or gap > world.rules.sensor_range_m:
             other, gap = -1, FAR_M
-        _write_neighbour(other, gap, lane >= 0, vehicles, line[column : column + NUM_SEEN])
+        _write_neighbour(vehicles[max(other, 0)], other >= 0, gap, lane >= 0, line, column)
 
 
-@compiled(borrows=True, forceinline=True)
-def _neighbour_lane(side, r, vehicles, road):  # type: ignore[no-untyped-def]
+@compiled(forceinline=True)
+def _neighbour_lane(side, r, tables, road):  # type: ignore[no-untyped-def]
     """Return the lane on a side of vehicle ``r`` (0 its own, 1 left, 2 right), the position of ``r`` on it, and the
     index in ``order`` of the first vehicle ahead."""
-    lane, position = vehicles.ints[r, REGION_LANE], vehicles.floats[r, LANE_POSITION]
+    lane, position = tables.vehicles[r].region_lane, tables.vehicles[r].lane_position_m
     if side == 0:
-        return lane, position, vehicles.ints[r, PLACE] + 1
-    seen_lane = road.lane_left[lane] if side == 1 else road.lane_right[lane]
+        return lane, position, tables.vehicles[r].place + 1
+    seen_lane = road.lanes[lane].left if side == 1 else road.lanes[lane].right
     if seen_lane < 0:
         return seen_lane, position, 0
     # Lanes of one edge end together, so positions on them compare from the end.
-    position += road.lane_length[seen_lane] - road.lane_length[lane]
-    return (
-        seen_lane,
-        position,
-        first_at_or_beyond(seen_lane, position, vehicles),
-    )
+    position += road.lanes[seen_lane].length_m - road.lanes[lane].length_m
+    return seen_lane, position, first_at_or_beyond(seen_lane, position, tables)

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from izoo.envs.mdp.columns import ACCEL, DELAY, EMISSION, PREV_ACCEL, SPEED, TTC
 from izoo.errors import IzooError, check_range, check_types
 
 TTC_CAP_S = 10.0
@@ -27,20 +26,21 @@ class RewardTerm:
     Attributes:
         name: of its column in the reward vector, with its unit.
         unit: its unit.
-        value: ``value(r, floats, config) -> float`` for the vehicle in row ``r`` of the tables after the step, where
-            ``config`` holds the fields of :class:`RewardConfig` other than weights. It is compiled.
+        value: ``value(vehicle, config) -> float`` for a vehicle's record after the step
+            (:data:`izoo.envs.mdp.columns.Vehicle`), where ``config`` holds the fields of :class:`RewardConfig` other
+            than weights. It is compiled.
         upper: ``None``: an individual term, whose fleet mean is used too. A number: a term shared by all agents,
             the smallest value over all vehicles, at most this.
     """
 
     name: str
     unit: str
-    value: Callable[[int, Any, Any], float]
+    value: Callable[[Any, Any], float]
     upper: float | None = None
 
 
 def term(
-    weight: float, name: str, unit: str, value: Callable[[int, Any, Any], float], help: str, upper: float | None = None
+    weight: float, name: str, unit: str, value: Callable[[Any, Any], float], help: str, upper: float | None = None
 ) -> Any:
     """Return a field of :class:`RewardConfig` that holds a term's weight.
 
@@ -52,35 +52,35 @@ def term(
     return dataclasses.field(default=weight, metadata={_TERM: RewardTerm(name, unit, value, upper), "help": help})
 
 
-def _speed_mps(r: int, floats: Any, config: Any) -> float:
-    return floats[r, SPEED]
+def _speed_mps(vehicle: Any, config: Any) -> float:
+    return vehicle.speed_mps
 
 
-def _stopped(r: int, floats: Any, config: Any) -> float:
-    v = floats[r, SPEED]
+def _stopped(vehicle: Any, config: Any) -> float:
+    v = vehicle.speed_mps
     if v >= config.tau_mps:
         return 0.0
     return (config.tau_mps - v) / config.tau_mps if config.soft_stop else 1.0
 
 
-def _emission_g(r: int, floats: Any, config: Any) -> float:
-    return floats[r, EMISSION]
+def _emission_g(vehicle: Any, config: Any) -> float:
+    return vehicle.emission_g
 
 
-def _comfort(r: int, floats: Any, config: Any) -> float:
-    return -abs(floats[r, ACCEL])
+def _comfort(vehicle: Any, config: Any) -> float:
+    return -abs(vehicle.accel_mps2)
 
 
-def _realism(r: int, floats: Any, config: Any) -> float:
-    return -abs(floats[r, ACCEL] - floats[r, PREV_ACCEL])
+def _realism(vehicle: Any, config: Any) -> float:
+    return -abs(vehicle.accel_mps2 - vehicle.prev_accel_mps2)
 
 
-def _delay_s(r: int, floats: Any, config: Any) -> float:
-    return floats[r, DELAY]
+def _delay_s(vehicle: Any, config: Any) -> float:
+    return vehicle.delay_s
 
 
-def _ttc_s(r: int, floats: Any, config: Any) -> float:
-    return floats[r, TTC]
+def _ttc_s(vehicle: Any, config: Any) -> float:
+    return vehicle.ttc_s
 
 
 @dataclass(frozen=True)

@@ -2,43 +2,54 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from izoo.compiling import compiled
+from izoo.envs.tables import Float1, compiled, tables_type
 from izoo.networks.clock import NEVER_S, SignalClock
 
 _TICK_S = 0.001
 """Simulators keep time in milliseconds."""
+Timing = np.dtype([("cycle_s", "f8"), ("offset_s", "f8")])
+Shown = np.dtype(
+    [
+        *((name, "f8") for name in ("change_s", "second_green_s", "third_green_s")),
+        ("colour", "i4"),
+        ("legal_on_red", "i4"),
+    ]
+)
+"""What a movement is shown, with the names of :class:`~izoo.networks.clock.SignalClock`; its times count from the
+beginning of a phase, or, in the present state, from now."""
 
 
-class ClockArrays(NamedTuple):
-    """Tables of :class:`~izoo.networks.clock.SignalClock`, and the clock's present state ``[P, Q]``."""
+class Clock(NamedTuple):
+    """Tables of :class:`~izoo.networks.clock.SignalClock`.
 
-    cycle_s: float
-    offset_s: float
-    phase_begin_s: np.ndarray
-    colour: np.ndarray
-    legal_on_red: np.ndarray
-    change_s: np.ndarray
-    second_green_s: np.ndarray
-    third_green_s: np.ndarray
-    now: np.ndarray
-    time_left_s: np.ndarray
-    until_second_s: np.ndarray
-    until_third_s: np.ndarray
+    Attributes:
+        timing: a record, :data:`Timing`.
+        phase_begin_s: ``[K]``.
+        shown: ``[P * Q, K]``, records of :data:`Shown`.
+    """
+
+    timing: Annotated[np.ndarray, Timing, 0]
+    phase_begin_s: Float1
+    shown: Annotated[np.ndarray, Shown, 2]
 
 
-def clock_arrays(clock: SignalClock) -> ClockArrays:
-    """Return the arrays of a clock, with the state not yet read."""
-    shape = clock.colour.shape[:2]
-    tables: dict[str, Any] = {name: getattr(clock, name) for name in ClockArrays._fields[:8]}
-    state: dict[str, Any] = {name: np.zeros(shape) for name in ClockArrays._fields[9:]}
-    return ClockArrays(**tables, now=np.zeros(shape, np.int64), **state)
+CLOCK = tables_type(Clock, constant=True)
 
 
-@compiled(borrows=True)
+def clock_tables(clock: SignalClock) -> Clock:
+    """Return the tables of a clock."""
+    shown = np.zeros(clock.colour.shape, Shown)
+    for name in Shown.names:  # type: ignore[union-attr]
+        shown[name] = getattr(clock, name)
+    timing = np.array((clock.cycle_s, clock.offset_s), Timing)
+    return Clock(timing, np.ascontiguousarray(clock.phase_begin_s), shown.reshape(-1, shown.shape[-1]))
+
+
+@compiled
 def phase_of_step(time_s, clock):  # type: ignore[no-untyped-def]
     """Return the phase that was in force during the step that ended at ``time_s``.
 
@@ -47,11 +58,12 @@ def phase_of_step(time_s, clock):  # type: ignore[no-untyped-def]
     return _phase_at(time_s - _TICK_S, clock)[0]
 
 
-@compiled(borrows=True)
+@compiled
 def _phase_at(time_s, clock):  # type: ignore[no-untyped-def]
     """Return the phase that is in force from ``time_s`` on, and the time since it began."""
-    in_cycle = (time_s - clock.offset_s) % clock.cycle_s
-    if clock.cycle_s - in_cycle < 1e-6:  # the end of a cycle is the beginning of the next
+    cycle_s = clock.timing.cycle_s
+    in_cycle = (time_s - clock.timing.offset_s) % cycle_s
+    if cycle_s - in_cycle < 1e-6:  # the end of a cycle is the beginning of the next
         in_cycle = 0.0
     phase = 0
     while phase + 1 < clock.phase_begin_s.shape[0] and clock.phase_begin_s[phase + 1] <= in_cycle + 1e-6:
@@ -59,17 +71,17 @@ def _phase_at(time_s, clock):  # type: ignore[no-untyped-def]
     return phase, in_cycle - clock.phase_begin_s[phase]
 
 
-@compiled(borrows=True)
-def read_clock(time_s, clock):  # type: ignore[no-untyped-def]
-    """Evaluate a :class:`ClockArrays` at ``time_s`` for all movements ``[P, Q]``.
+@compiled
+def read_clock(time_s, clock, signal):  # type: ignore[no-untyped-def]
+    """Write what is in force from ``time_s`` on to the records ``signal [P, Q]``.
 
-    ``now`` gets the colour (0 green, 1 yellow, 2 red) in force from ``time_s`` on, the others seconds from ``time_s``,
-    at most ``NEVER_S``.
+    That is the colour (0 green, 1 yellow, 2 red), and the seconds until changes, at most ``NEVER_S``.
     """
     phase, elapsed = _phase_at(time_s, clock)
-    for p in range(clock.now.shape[0]):
-        for q in range(clock.now.shape[1]):
-            clock.now[p, q] = clock.colour[p, q, phase]
-            clock.time_left_s[p, q] = min(max(clock.change_s[p, q, phase] - elapsed, 0.0), NEVER_S)
-            clock.until_second_s[p, q] = min(max(clock.second_green_s[p, q, phase] - elapsed, 0.0), NEVER_S)
-            clock.until_third_s[p, q] = min(max(clock.third_green_s[p, q, phase] - elapsed, 0.0), NEVER_S)
+    for p in range(signal.shape[0]):
+        for q in range(signal.shape[1]):
+            shown, now = clock.shown[p * signal.shape[1] + q, phase], signal[p, q]
+            now.colour = shown.colour
+            now.change_s = min(max(shown.change_s - elapsed, 0.0), NEVER_S)
+            now.second_green_s = min(max(shown.second_green_s - elapsed, 0.0), NEVER_S)
+            now.third_green_s = min(max(shown.third_green_s - elapsed, 0.0), NEVER_S)

@@ -7,36 +7,21 @@ vehicle in a leaver's place; the lowest free number is used first.
 
 from __future__ import annotations
 
-from izoo.compiling import compiled
-from izoo.envs.mdp.columns import (
-    ACCEL,
-    AGENT,
-    APPROACH,
-    COHORT,
-    COUNTED,
-    ELECTRIC,
-    ENTRY_M,
-    EXIT,
-    FRESH,
-    IS_CV,
-    LEADER,
-    LENGTH,
-    MOVES_CLASS,
-    NUMBER,
-    PRESENT,
-)
-from izoo.envs.mdp.credit import BLOCKED, ENTERED
-from izoo.envs.mdp.metric_sums import EPISODE_METRIC, METRIC, record_entry
-from izoo.envs.mdp.state import FREE, FREED, IDLE_GPS, LEAVERS, MEMBERS, VEHICLES, sums_to_horizon
-
-_STEPS = EPISODE_METRIC["steps"]
-_UNSLOTTED = EPISODE_METRIC["unslotted"]
-_COHORT_LEFT = METRIC["cohort_left"]
+from izoo.envs.mdp.metric_sums import record_entry
+from izoo.envs.mdp.state import BLOCKED, ENTERED, FREE, FREED, open_world
+from izoo.envs.tables import compiled
 
 
-@compiled(borrows=True)
+@compiled
+def first_sums(world):  # type: ignore[no-untyped-def]
+    """Return the first row of ``tables.sums`` for the coming step: after the horizon, of those that are discarded."""
+    before_horizon = world.tables.episode.steps < world.rules.control_steps
+    return 0 if before_horizon else world.tables.sums.shape[0] // 2
+
+
+@compiled
 def admit(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
-    """Give a vehicle that has entered the region a row, and a CV an agent slot; return the row, -1 if all are taken.
+    """Give a vehicle that has entered the region a row, and a CV an agent slot; return the row.
 
     A CV for which no slot is free, or whose row is not emitted, is left to its own driver and counted.
 
@@ -46,78 +31,77 @@ def admit(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
         accel_mps2: its acceleration in the last step.
         counted: whether it entered after the warm-up.
     """
-    tables, demand = world.tables, world.demand
-    floats, ints, flags = tables.floats, tables.ints, tables.flags
-    row, capacity = 0, flags.shape[0]
-    while row < capacity and flags[row, PRESENT]:
+    tables = world.tables
+    row = 0
+    while tables.vehicles[row].present:  # there is a row for every vehicle of the demand
         row += 1
-    if row == capacity:
-        return -1
-    flags[row, :] = 0
-    floats[row, :] = 0.0
-    is_cv, approach = demand.is_cv[number], demand.approach[number]
-    flags[row, PRESENT], flags[row, FRESH] = 1, 1
-    flags[row, IS_CV], flags[row, COUNTED], flags[row, COHORT] = is_cv, counted, demand.cohort[number]
-    flags[row, ELECTRIC] = is_cv and world.rules.electric
-    floats[row, LENGTH], floats[row, ACCEL] = demand.length_m[number], accel_mps2
-    floats[row, ENTRY_M] = -world.road.lane_length_m[approach]
-    ints[row, NUMBER], ints[row, MOVES_CLASS] = number, demand.moves_class[number]
-    ints[row, APPROACH], ints[row, EXIT] = approach, demand.exit[number]
-    ints[row, AGENT] = -1
-    ints[row, LEADER] = -1
-    if demand.status[number] == BLOCKED:
-        demand.blocked[approach, VEHICLES] -= 1.0
-        demand.blocked[approach, IDLE_GPS] -= demand.idle_gps[number]
-    demand.status[number] = ENTERED
-    demand.arrival_step[number] = int(tables.episode[_STEPS])
-    tables.members[tables.cursor[MEMBERS]] = row
-    tables.cursor[MEMBERS] += 1
-    record_entry(row, floats, ints, flags, sums_to_horizon(world))
-    if is_cv:
+    vehicle, demand = tables.vehicles[row], tables.demand[number]
+    blocked = tables.blocked[demand.approach]
+    vehicle.present = vehicle.fresh = 1
+    vehicle.is_cv, vehicle.counted, vehicle.cohort = demand.is_cv, counted, demand.cohort
+    vehicle.electric = demand.is_cv and world.rules.electric
+    vehicle.length_m, vehicle.accel_mps2 = demand.length_m, accel_mps2
+    vehicle.entry_m = -world.road.lane_length_m[demand.approach]
+    vehicle.vehicle_number, vehicle.moves_class = number, demand.moves_class
+    vehicle.approach, vehicle.exit = demand.approach, demand.exit
+    vehicle.agent = vehicle.leader = -1
+    vehicle.deferred = vehicle.crossed = vehicle.commanded = vehicle.yielding = 0
+    vehicle.emission_g = vehicle.target_mps = vehicle.cap_mps = 0.0
+    if demand.status == BLOCKED:
+        blocked.vehicles -= 1.0
+        blocked.idle_gps -= demand.idle_gps
+    demand.status, demand.row = ENTERED, row
+    demand.arrival_step = int(tables.episode.steps)
+    tables.members[tables.cursor.members] = row
+    tables.cursor.members += 1
+    record_entry(vehicle, tables.sums[first_sums(world) + demand.approach])
+    if demand.is_cv:
         _assign_slot(row, tables, world.rules.num_vehicles)
     return row
 
 
-@compiled(borrows=True)
+@compiled
 def _assign_slot(row, tables, num_vehicles):  # type: ignore[no-untyped-def]
     if row < num_vehicles:
         for slot in range(tables.agent_row.shape[0]):
             if tables.agent_row[slot] == FREE:
-                tables.agent_row[slot], tables.ints[row, AGENT] = row, slot
+                tables.agent_row[slot], tables.vehicles[row].agent = row, slot
                 tables.stage[slot] = 0
                 return
-    tables.episode[_UNSLOTTED] += 1
+    tables.episode.unslotted += 1
 
 
-@compiled(borrows=True)
+@compiled
 def release(world, row):  # type: ignore[no-untyped-def]
     """Remove the vehicle of a row from the members; its row and slot stay taken until the step is finished."""
     tables = world.tables
+    vehicle = tables.vehicles[row]
     kept = 0
-    for j in range(tables.cursor[MEMBERS]):
+    for j in range(tables.cursor.members):
         member = tables.members[j]
         if member != row:
             tables.members[kept] = member
             kept += 1
-    tables.cursor[MEMBERS] = kept
-    tables.leavers[tables.cursor[LEAVERS]] = row
-    tables.cursor[LEAVERS] += 1
-    tables.sums[tables.ints[row, APPROACH], _COHORT_LEFT] += tables.flags[row, COHORT]
+    tables.cursor.members = kept
+    tables.leavers[tables.cursor.leavers] = row
+    tables.cursor.leavers += 1
+    tables.demand[vehicle.vehicle_number].row = -1
+    tables.sums[vehicle.approach].cohort_left += vehicle.cohort
 
 
 @compiled
-def admit_vehicle(world, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
+def admit_vehicle(world_at, number, accel_mps2, counted):  # type: ignore[no-untyped-def]
     """Call :func:`admit` from Python."""
-    return admit(world, number, accel_mps2, counted)
+    return admit(open_world(world_at), number, accel_mps2, counted)
 
 
 @compiled
-def release_vehicle(world, row):  # type: ignore[no-untyped-def]
+def release_vehicle(world_at, row):  # type: ignore[no-untyped-def]
     """Call :func:`release` from Python."""
-    release(world, row)
+    release(open_world(world_at), row)
 
 
-@compiled(borrows=True)
+@compiled
 def free_slots(tables, terminated, done, begins):  # type: ignore[no-untyped-def]
     """Free the rows and slots of the vehicles that left in this step; mark the slots ``[A]`` as terminated and done.
 
@@ -125,14 +109,11 @@ def free_slots(tables, terminated, done, begins):  # type: ignore[no-untyped-def
     """
     if begins:
         for slot in range(terminated.shape[0]):
-            terminated[slot] = 0
-            done[slot] = 0
-    for j in range(tables.cursor[LEAVERS]):
-        row = tables.leavers[j]
-        slot = tables.ints[row, AGENT]
-        tables.flags[row, :] = 0
-        if slot >= 0:
-            tables.agent_row[slot] = FREED
-            terminated[slot] = 1
-            done[slot] = 1
-    tables.cursor[LEAVERS] = 0
+            terminated[slot] = done[slot] = 0
+    for j in range(tables.cursor.leavers):
+        vehicle = tables.vehicles[tables.leavers[j]]
+        vehicle.present = 0
+        if vehicle.agent >= 0:
+            tables.agent_row[vehicle.agent] = FREED
+            terminated[vehicle.agent] = done[vehicle.agent] = 1
+    tables.cursor.leavers = 0

@@ -9,100 +9,79 @@ from __future__ import annotations
 
 import numpy as np
 
-from izoo.compiling import compiled
+from izoo.compiling import field_writer
 from izoo.emissions.kernel import emission_rate
-from izoo.envs.mdp.columns import (
-    ACCEL,
-    AGENT,
-    ELECTRIC,
-    EMISSION,
-    GRADE,
-    LOCATION,
-    MOVES_CLASS,
-    NUMBER,
-    PRESENT,
-    SPEED,
-    STEADY,
-    WRONG_LANE,
-)
+from izoo.envs.mdp.columns import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
 from izoo.envs.mdp.commands import plan_caps, plan_commands
 from izoo.envs.mdp.credit import assign_credit, count_blocked
 from izoo.envs.mdp.displacement import update_motion
 from izoo.envs.mdp.metric_sums import (
-    EPISODE_METRIC,
+    APPROACH_METRICS,
+    EpisodeSums,
     accumulate_cohort,
     accumulate_episode,
     accumulate_step,
     count_queues,
+    record_unfinished,
 )
 from izoo.envs.mdp.neighbours import find_leaders, sort_lanes
 from izoo.envs.mdp.observation_kernel import write_observations
 from izoo.envs.mdp.reward_kernel import NUM_TERMS, compute_rewards, evaluate_terms, team_step_reward
 from izoo.envs.mdp.signals import phase_of_step, read_clock
-from izoo.envs.mdp.slots import free_slots
-from izoo.envs.mdp.state import (
-    DECISION_STEPS,
-    EVERY_STEP,
-    FREE,
-    MEMBERS,
-    ONCE_AND_BEHIND,
-    WRONG_LANE_AGENTS,
-    sums_to_horizon,
-)
+from izoo.envs.mdp.slots import first_sums, free_slots
+from izoo.envs.mdp.state import EVERY_STEP, FREE, ONCE_AND_BEHIND, open_world
+from izoo.envs.tables import compiled
 from izoo.networks.road import APPROACHING
 
-_STEPS = EPISODE_METRIC["steps"]
+_write_floats, _write_ints, _write_flags = map(field_writer, (VEHICLE_FLOATS, VEHICLE_INTS, VEHICLE_FLAGS))
+_write_sums, _write_episode = field_writer(APPROACH_METRICS), field_writer(EpisodeSums.names or ())
 
 
-@compiled(borrows=True)
+@compiled
 def translate_actions(world):  # type: ignore[no-untyped-def]
     """Turn the frame's actions into commands for the coming step; return the numbers of commands, releases and caps.
 
     The actions are those of the present decision and apply to the agents that were there when it began. Where agents do
     not decide in every step, they apply to the agents that had to decide; for the others the last decision holds.
     """
-    tables, frame = world.tables, world.frame
-    begins = tables.cursor[DECISION_STEPS] == 0
+    tables = world.tables
+    begins = tables.cursor.decision_steps == 0
     for a in range(tables.agent_row.shape[0]):
         if begins:
             tables.agent_row[a] = max(tables.agent_row[a], FREE)
             tables.acting[a] = tables.agent_row[a]
         elif tables.agent_row[a] < 0:
             tables.acting[a] = -1
-    action, defer = frame.action, frame.defer
-    if world.rules.scope != EVERY_STEP:
-        if begins:
-            _store_decisions(tables, frame)
-        action, defer = tables.decision, tables.deferred
-    sums = sums_to_horizon(world)
+    if begins:
+        _store_decisions(world)
     if world.rules.speeds:
-        return plan_caps(tables, world.rules, world.road, action, defer, sums)
-    commands, releases = plan_commands(tables, world.rules, action, defer, sums)
-    return commands, releases, 0
+        return plan_caps(world, first_sums(world))
+    return plan_commands(world, first_sums(world))
 
 
-@compiled(borrows=True)
-def _store_decisions(tables, frame):  # type: ignore[no-untyped-def]
+@compiled
+def _store_decisions(world):  # type: ignore[no-untyped-def]
     """Store the decisions of the agents that had to decide."""
+    tables, frame = world.tables, world.frame
     for a in range(tables.agent_row.shape[0]):
         r = tables.agent_row[a]
-        if r >= 0 and frame.decides[a]:
+        if r >= 0 and (world.rules.scope == EVERY_STEP or frame.decides[a]):
             for d in range(frame.action.shape[1]):
                 tables.decision[a, d] = frame.action[a, d]
             tables.deferred[a] = frame.defer[a]
-            tables.stage[a] = 1 if tables.ints[r, LOCATION] == APPROACHING else 2
+            tables.stage[a] = 1 if tables.vehicles[r].location == APPROACHING else 2
 
 
-@compiled(borrows=True)
+@compiled
 def _must_decide(tables, rules, a):  # type: ignore[no-untyped-def]
     """Whether the agent in a slot must decide before the coming step, where agents do not decide in every step."""
     r = tables.agent_row[a]
     if r < 0 or tables.stage[a] == 0:
         return r >= 0
-    return rules.scope == ONCE_AND_BEHIND and tables.stage[a] == 1 and tables.ints[r, LOCATION] != APPROACHING
+    return rules.scope == ONCE_AND_BEHIND and tables.stage[a] == 1 and tables.vehicles[r].location != APPROACHING
 
 
-@compiled(borrows=True)
+@compiled
 def _any_due(tables, rules):  # type: ignore[no-untyped-def]
     due = False
     for a in range(tables.agent_row.shape[0]):
@@ -111,50 +90,42 @@ def _any_due(tables, rules):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def translate_frame_actions(world):  # type: ignore[no-untyped-def]
+def translate_frame_actions(world_at):  # type: ignore[no-untyped-def]
     """Call :func:`translate_actions` from Python."""
-    return translate_actions(world)
+    return translate_actions(open_world(world_at))
 
 
-@compiled(borrows=True)
-def update_vehicles(world, reading):  # type: ignore[no-untyped-def]
-    """Write the vehicles' positions into the tables, sort them by lane, and find their leaders.
-
-    Args:
-        world: the :class:`~izoo.envs.mdp.state.World`.
-        reading: ``[n]`` arrays in the order of the members: region lane, lane position (m), speed (m/s), signal bits.
-    """
-    tables, road = world.tables, world.road
-    rows = tables.members[: tables.cursor[MEMBERS]]
-    update_motion(rows, reading, tables, road, world.rules.step_s)
-    sort_lanes(rows, tables.floats, tables.ints, world.work.lane_fill, tables.order, tables.lane_start)
-    find_leaders(rows, tables, road)
+@compiled
+def update_vehicles(world):  # type: ignore[no-untyped-def]
+    """Update the members' records from the simulator's report, sort them by lane, and find their leaders."""
+    update_motion(world.tables, world.road, world.rules.step_s)
+    sort_lanes(world.tables, world.work.lane_fill)
+    find_leaders(world.tables, world.road)
 
 
-@compiled(borrows=True)
-def compute_emissions(world):  # type: ignore[no-untyped-def]
+@compiled
+def compute_emissions(world, surrogate):  # type: ignore[no-untyped-def]
     """Write each vehicle's CO2 of the step in g, unless it is that of the step before; electric CVs emit nothing."""
     tables, rules = world.tables, world.rules
-    floats = tables.floats
-    for j in range(tables.cursor[MEMBERS]):
-        r = tables.members[j]
-        if tables.flags[r, STEADY]:
+    for j in range(tables.cursor.members):
+        vehicle = tables.vehicles[tables.members[j]]
+        if vehicle.steady:
             continue
-        floats[r, EMISSION] = 0.0
-        if not tables.flags[r, ELECTRIC]:
+        vehicle.emission_g = 0.0
+        if not vehicle.electric:
             rate = emission_rate(
-                np.float32(floats[r, SPEED]),
-                np.float32(floats[r, ACCEL]),
-                np.float32(floats[r, GRADE]),
-                tables.ints[r, MOVES_CLASS],
+                np.float32(vehicle.speed_mps),
+                np.float32(vehicle.accel_mps2),
+                np.float32(vehicle.grade_pct),
+                vehicle.moves_class,
                 np.float32(rules.temperature_c),
                 np.float32(rules.humidity_pct),
-                world.surrogate,
+                surrogate,
             )
-            floats[r, EMISSION] = rate * rules.step_s
+            vehicle.emission_g = rate * rules.step_s
 
 
-@compiled(borrows=True)
+@compiled
 def finish_step(world, time_s, measured, empty):  # type: ignore[no-untyped-def]
     """Update metrics, compute rewards, and write the next frame.
 
@@ -168,123 +139,113 @@ def finish_step(world, time_s, measured, empty):  # type: ignore[no-untyped-def]
         empty: whether no vehicle is in the network or will be; this ends a decision that lasts until an agent must
             decide.
     """
-    tables, work, clock, rules, out = world.tables, world.work, world.clock, world.rules, world.frame
-    rows = tables.members[: tables.cursor[MEMBERS]]
-    floats, ints, flags = tables.floats, tables.ints, tables.flags
-    sums = sums_to_horizon(world)
+    tables, work, rules, out = world.tables, world.work, world.rules, world.frame
+    base = first_sums(world)
     if measured:
-        phase = phase_of_step(time_s, clock)
-        colour, legal = clock.colour[:, :, phase], clock.legal_on_red[:, :, phase]
-        accumulate_step(rows, floats, ints, flags, colour, legal, rules.step_s, sums)
-        accumulate_cohort(rows, floats, ints, flags, tables.sums)
-        count_queues(rows, floats, ints, sums)
-    read_clock(time_s, clock)
-    begins = tables.cursor[DECISION_STEPS] == 0
-    fleet, shared, own = work.fleet, work.shared, work.own
-    evaluate_terms(rows, floats, rules.reward, tables.terms, fleet, shared, work.own_shared)
-    if rules.reward.sums:
+        accumulate_step(world, phase_of_step(time_s, world.clock), base)
+        accumulate_cohort(tables)
+        count_queues(tables, base)
+    read_clock(time_s, world.clock, tables.signal)
+    begins = tables.cursor.decision_steps == 0
+    evaluate_terms(world)
+    if rules.sums:
         count_blocked(world, time_s)
-        assign_credit(world, rows, tables.terms, own, fleet)
+        assign_credit(world)
     else:
         for a in range(tables.acting.shape[0]):
             if tables.acting[a] >= 0:
                 for c in range(NUM_TERMS):
-                    own[a, c] = tables.terms[tables.acting[a], c]
-    compute_rewards(tables.acting, work, rules, out, rows.shape[0] == 0, begins)
+                    work.own[a, c] = tables.terms[tables.acting[a], c]
+    compute_rewards(world, begins)
     if begins:
         out.team_reward[0] = 0.0
     if measured:
-        out.team_reward[0] += team_step_reward(work, rules, rows.shape[0] == 0)
+        out.team_reward[0] += team_step_reward(world)
     free_slots(tables, out.agent_terminated, out.agent_done, begins)
     if measured:
-        accumulate_episode(rows, tables, work.step_reward, rules.step_s, sums)
-        tables.cursor[DECISION_STEPS] = (tables.cursor[DECISION_STEPS] + 1) % rules.hold_steps
+        accumulate_episode(tables, work.step_reward, rules.step_s, base)
+        tables.cursor.decision_steps = (tables.cursor.decision_steps + 1) % rules.hold_steps
         if rules.scope != EVERY_STEP and (empty or _any_due(tables, rules)):
-            tables.cursor[DECISION_STEPS] = 0
+            tables.cursor.decision_steps = 0
         # The horizon and the end of an episode end a decision, however short.
-        if tables.episode[_STEPS] == rules.control_steps or tables.episode[_STEPS] == rules.total_steps:
-            tables.cursor[DECISION_STEPS] = 0
-    if tables.cursor[DECISION_STEPS] == 0:
-        write_observations(
-            tables.agent_row,
-            work.written,
-            tables,
-            world.road,
-            clock,
-            rules,
-            out.observation,
-        )
+        if tables.episode.steps == rules.control_steps or tables.episode.steps == rules.total_steps:
+            tables.cursor.decision_steps = 0
+    if tables.cursor.decision_steps == 0:
+        write_observations(world)
         _emit(world)
-    _list_wrong_lane_agents(rows, tables)
+    _list_wrong_lane_agents(tables)
 
 
 @compiled
-def make_frame(world, reading, time_s, measured, empty):  # type: ignore[no-untyped-def]
-    """Turn a simulator's report into the next frame."""
-    update_vehicles(world, reading)
-    compute_emissions(world)
+def make_frame(world_at, reading, surrogate, time_s, measured, empty):  # type: ignore[no-untyped-def]
+    """Turn a simulator's report into the next frame; ``reading`` is an :data:`~izoo.envs.mdp.episode.Reading`."""
+    world = open_world(world_at)
+    lane, position, speed, signals = reading
+    for j in range(world.tables.cursor.members):
+        vehicle = world.tables.vehicles[world.tables.members[j]]
+        vehicle.region_lane, vehicle.lane_position_m = lane[j], position[j]
+        vehicle.reported_speed_mps, vehicle.signals = speed[j], signals[j]
+    update_vehicles(world)
+    compute_emissions(world, surrogate)
     finish_step(world, time_s, measured, empty)
 
 
-@compiled(borrows=True)
-def _list_wrong_lane_agents(rows, tables):  # type: ignore[no-untyped-def]
+@compiled
+def count_unfinished(world_at):  # type: ignore[no-untyped-def]
+    """Call :func:`~izoo.envs.mdp.metric_sums.record_unfinished` from Python."""
+    record_unfinished(open_world(world_at).tables)
+
+
+@compiled
+def _list_wrong_lane_agents(tables):  # type: ignore[no-untyped-def]
     """List the agents on a lane that does not lead to their exit: the simulator may slow them for a lane change."""
     count = 0
-    for r in rows:
-        if tables.flags[r, WRONG_LANE] and tables.ints[r, AGENT] >= 0:
+    for j in range(tables.cursor.members):
+        r = tables.members[j]
+        if tables.vehicles[r].wrong_lane and tables.vehicles[r].agent >= 0:
             tables.wrong_lane_agents[count] = r
             count += 1
-    tables.cursor[WRONG_LANE_AGENTS] = count
+    tables.cursor.wrong_lane_agents = count
 
 
-@compiled(borrows=True)
+@compiled
 def _emit(world):  # type: ignore[no-untyped-def]
     """Copy the emitted groups to the frame."""
-    tables, clock, rules, out = world.tables, world.clock, world.rules, world.frame
+    tables, rules, out = world.tables, world.rules, world.frame
     for a in range(tables.agent_row.shape[0]):
-        out.mask[a] = tables.agent_row[a] >= 0
-        out.agent_vehicle[a] = max(tables.agent_row[a], 0)
-    if rules.emit_number:
-        for a in range(tables.agent_row.shape[0]):
-            row = tables.agent_row[a]
-            out.number[a] = tables.ints[row, NUMBER] if row >= 0 else -1
-    if rules.scope != EVERY_STEP:
-        for a in range(tables.agent_row.shape[0]):
+        row = tables.agent_row[a]
+        out.mask[a] = row >= 0
+        out.agent_vehicle[a] = max(row, 0)
+        if rules.emit_number:
+            out.number[a] = tables.vehicles[row].vehicle_number if row >= 0 else -1
+        if rules.scope != EVERY_STEP:
             out.decides[a] = _must_decide(tables, rules, a)
     if rules.emit_vehicles:
-        emit_vehicles(tables.floats, tables.ints, tables.flags, out.vehicle_floats, out.vehicle_ints, out.vehicle_flags)
+        _emit_vehicles(tables.vehicles, out)
     if rules.emit_signal:
-        _copy_into(out.signal_colour, clock.now)
-        _copy_into(out.signal_time_left_s, clock.time_left_s)
-    for k in range(tables.episode.shape[0]):
-        out.episode_metrics[k] = tables.episode[k]
+        for p in range(tables.signal.shape[0]):
+            for q in range(tables.signal.shape[1]):
+                out.signal_colour[p, q] = tables.signal[p, q].colour
+                out.signal_time_left_s[p, q] = tables.signal[p, q].change_s
+    _write_episode(tables.episode, out.episode_metrics, 0)
     if rules.emit_metrics:
-        _copy_into(out.approach_metrics, tables.sums)
+        for p in range(out.approach_metrics.shape[0]):
+            _write_sums(tables.sums[p], out.approach_metrics[p], 0)
 
 
-@compiled(borrows=True)
-def emit_vehicles(floats, ints, flags, floats_out, ints_out, flags_out):  # type: ignore[no-untyped-def]
-    """Copy the emitted columns of the first ``V`` rows; rows without a vehicle are zero."""
-    for v in range(floats_out.shape[0]):
-        if v < flags.shape[0] and flags[v, PRESENT]:
-            for c in range(floats_out.shape[1]):
-                floats_out[v, c] = floats[v, c]
-            for c in range(ints_out.shape[1]):
-                ints_out[v, c] = ints[v, c]
-            for c in range(flags_out.shape[1]):
-                flags_out[v, c] = flags[v, c]
+@compiled
+def _emit_vehicles(vehicles, out):  # type: ignore[no-untyped-def]
+    """Copy the emitted fields of the first ``V`` rows; rows without a vehicle are zero."""
+    for v in range(out.vehicle_floats.shape[0]):
+        floats, ints, flags = out.vehicle_floats[v], out.vehicle_ints[v], out.vehicle_flags[v]
+        if v < vehicles.shape[0] and vehicles[v].present:
+            _write_floats(vehicles[v], floats, 0)
+            _write_ints(vehicles[v], ints, 0)
+            _write_flags(vehicles[v], flags, 0)
         else:
-            floats_out[v, :] = 0.0
-            ints_out[v, :] = 0
-            flags_out[v, :] = 0
-
-
-@compiled(borrows=True)
-def _copy_into(target, source):  # type: ignore[no-untyped-def]
-    """Copy a table to the upper left corner of one that is no smaller.
-
-    A slice assignment would compile the text of an error message that cannot occur: 2 s each.
-    """
-    for i in range(source.shape[0]):
-        for j in range(source.shape[1]):
-            target[i, j] = source[i, j]
+            for c in range(floats.shape[0]):
+                floats[c] = 0.0
+            for c in range(ints.shape[0]):
+                ints[c] = 0
+            for c in range(flags.shape[0]):
+                flags[c] = 0

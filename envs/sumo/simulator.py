@@ -17,7 +17,6 @@ from izoo.emissions.kernel import KernelWeights
 from izoo.emissions.weights import load_weights
 from izoo.envs.backend import Play, entry_edges, episode_traffic
 from izoo.envs.config import KEEP_LANE, EnvConfig
-from izoo.envs.mdp.columns import ACCEL, DEFERRED, SPEED
 from izoo.envs.mdp.commands import LANE_CHANGE_BRAKING_MPS2
 from izoo.envs.mdp.episode import DemandAtHorizon, Episode, Reading
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
@@ -180,7 +179,7 @@ class SumoSimulator:
             elif not deferred[a] and name not in self._lane_commanded:
                 self._lane_commanded.add(name)
                 session.restrict_lane_changes(name)
-            if change != KEEP_LANE and not tables.flags[tables.agent_row[a], DEFERRED]:
+            if change != KEEP_LANE and not tables.vehicles["deferred"][tables.agent_row[a]]:
                 session.change_lane(name, change - 1, self.config.step_s)
 
     def _read_with_newcomers(self) -> Reading:
@@ -208,9 +207,9 @@ class SumoSimulator:
 
     def _slowed(self, rows: np.ndarray) -> list[int]:
         """Return which of these rows SUMO slows down for a lane change."""
-        floats, step_s, slowed = self.episode.tables.floats, self.config.step_s, []
+        vehicles, step_s, slowed = self.episode.tables.vehicles, self.config.step_s, []
         for row, name in zip(rows.tolist(), self.ids.of(rows.tolist()), strict=True):
-            before = floats[row, SPEED] - floats[row, ACCEL] * step_s
+            before = vehicles["speed_mps"][row] - vehicles["accel_mps2"][row] * step_s
             if (before - self.session.free_speed(name)) / step_s > LANE_CHANGE_BRAKING_MPS2:
                 slowed.append(row)
         return slowed

@@ -8,7 +8,6 @@ import weakref
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from typing import Any
 
 import numpy as np
 import torch
@@ -20,10 +19,10 @@ from izoo.envs.backend import CLOSED, Play, clear_ended
 from izoo.envs.config import KEEP_LANE, STEP, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.snapshot import Scene
-from izoo.envs.twin.runtime.batch_step import conclude_all, drive_all, play_all
+from izoo.envs.twin.runtime.batch_step import conclude_all, drive_all, play_all, warm_up_all
 from izoo.envs.twin.runtime.batched_emissions import GROUP, Emitter
 from izoo.envs.twin.runtime.episode_setup import Prepared, TwinRun, prepare
-from izoo.envs.twin.runtime.prefetch import PARTS_BYTES, no_ranges
+from izoo.envs.twin.runtime.prefetch import ADDRESSES, no_ranges
 from izoo.envs.twin.runtime.preparers import Preparers, fixed
 from izoo.envs.twin.runtime.scratch import Desk
 from izoo.envs.twin.runtime.thread_pool import ThreadPool
@@ -76,7 +75,7 @@ class TwinBackend:
         self.wanted_threads, self.threads = threads, min(threads, num_envs)
         self.frames = map_frames(bytearray(frame_bytes(config, num_envs)), config, num_envs)
         self._runs: list[TwinRun | None] = [None] * num_envs
-        self._addresses = np.zeros((num_envs, PARTS_BYTES + 1), np.int64)
+        self._addresses = np.zeros((num_envs, ADDRESSES), np.int64)
         self._left = np.zeros(num_envs, np.int64)
         self._most_vehicles = 0
         self._step_ms = to_ms(config.step_s)
@@ -142,26 +141,26 @@ class TwinBackend:
         if self.closed:
             raise IzooError(CLOSED)
         self._prepare_now(plays)
-        with compiling_once(play_all if self.surrogate == "compiled" else drive_all):
-            for index, play in plays.items():
-                self._runs[index] = None
-                desk = self._desks[bisect_right(self._shares, index, key=lambda share: share.start) - 1]
-                prepared = self._take(index, play, desk)
-                run = TwinRun(self.config, row_of(self.frames, index), self._weights, prepared, desk)
-                self._runs[index] = run
-                self._most_vehicles = max(self._most_vehicles, len(prepared.traffic))
-                self._addresses[index], self._left[index] = run.addresses, self.config.total_steps
-            self._compile()
+        self._compile()
+        for index, play in plays.items():
+            self._runs[index] = None
+            desk = self._desks[bisect_right(self._shares, index, key=lambda share: share.start) - 1]
+            prepared = self._take(index, play, desk)
+            run = TwinRun(self.config, row_of(self.frames, index), self._weights, prepared, desk)
+            self._runs[index] = run
+            self._most_vehicles = max(self._most_vehicles, len(prepared.traffic))
+            self._addresses[index], self._left[index] = run.addresses, self.config.total_steps
 
     def _compile(self) -> None:
         """Compile what steps call, by stepping no environment; other processes wait meanwhile."""
-        if self._runs[0] is not None:
-            none, like, emitter, ranges = slice(0, 0), self._runs[0].episode.world, self._emitters[0], self._ranges[0]
+        none, emitter, ranges = slice(0, 0), self._emitters[0], self._ranges[0]
+        with compiling_once(play_all if self.surrogate == "compiled" else drive_all):
             if self.surrogate == "compiled":
-                self._drive_share(none, self._left[none], False, emitter, ranges, like)
+                self._drive_share(none, self._left[none], False, emitter, ranges)
             else:
-                drive_all(self._addresses[none], self._step_ms, self.config.lane_change, like, emitter.by_class, ranges)
-                conclude_all(self._addresses[none], like, ranges)
+                drive_all(self._addresses[none], self._step_ms, self.config.lane_change, emitter.by_class, ranges)
+                conclude_all(self._addresses[none], ranges)
+            warm_up_all(self._addresses[none], 0, self._step_ms, ranges)
 
     def _prepare_now(self, plays: Mapping[int, Play]) -> None:
         """Let processes prepare what is not ready, where there are some; or else build the nets together."""
@@ -293,14 +292,13 @@ class TwinBackend:
 
         With ``until_due``, so many at most: each plays on until one of its CVs is to decide.
         """
-        like = self._run(0).episode.world
-        self._pool.work(lambda thread: self._play_share(thread, steps, until_due, like), meanwhile)
+        self._pool.work(lambda thread: self._play_share(thread, steps, until_due), meanwhile)
         self._left -= steps
 
-    def _play_share(self, thread: int, steps: np.ndarray, until_due: bool, like: Any) -> None:
+    def _play_share(self, thread: int, steps: np.ndarray, until_due: bool) -> None:
         """Simulate a thread's share of the environments, whose working memory is on its desk."""
         share = self._shares[thread]
-        self._drive_share(share, steps[share], until_due, self._emitters[thread], self._ranges[thread], like)
+        self._drive_share(share, steps[share], until_due, self._emitters[thread], self._ranges[thread])
         self._taken(share)
 
     def _taken(self, rows: slice) -> None:
@@ -312,20 +310,20 @@ class TwinBackend:
         self._pool.work(lambda thread: task(self._shares[thread]))
 
     def _drive_share(
-        self, share: slice, steps: np.ndarray, until_due: bool, emitter: Emitter, ranges: np.ndarray, like: Any
+        self, share: slice, steps: np.ndarray, until_due: bool, emitter: Emitter, ranges: np.ndarray
     ) -> None:
         addresses = self._addresses[share]
         if self.surrogate == "compiled":
             rows = emitter.rows(GROUP * self._most_vehicles)
-            play_all(addresses, steps, until_due, self._step_ms, self.config.lane_change, like, rows, ranges)
+            play_all(addresses, steps, until_due, self._step_ms, self.config.lane_change, rows, ranges)
             return
         step = 0
         while (steps > step).any():
             # From here on, those that have been played are left out.
             chosen = addresses if steps.min() > step else addresses[steps > step]
-            drive_all(chosen, self._step_ms, self.config.lane_change, like, emitter.by_class, ranges)
-            emitter.emit(chosen, like)
-            conclude_all(chosen, like, ranges)
+            drive_all(chosen, self._step_ms, self.config.lane_change, emitter.by_class, ranges)
+            emitter.emit(chosen)
+            conclude_all(chosen, ranges)
             step += 1
             if until_due:
                 for k in np.flatnonzero(steps > step).tolist():

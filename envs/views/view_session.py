@@ -18,7 +18,7 @@ from izoo.contexts.source import as_schedule, reseed
 from izoo.envs import simulator_of
 from izoo.envs.backend import Backend, Play
 from izoo.envs.config import KEEP_LANE, STEP, EnvConfig, checked_config
-from izoo.envs.mdp.columns import NUMBER
+from izoo.envs.mdp.columns import VEHICLE_INTS
 from izoo.envs.mdp.frame import row_of
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRIC, EPISODE_METRICS
 from izoo.envs.render import draw
@@ -200,7 +200,7 @@ class ViewSession:
     @property
     def numbers(self) -> np.ndarray:
         """Number in the episode's demand of the CV in every slot, ``[A]`` int64; -1 where there is none."""
-        number = self.frame["vehicle_ints"][self.frame["agent_vehicle"], NUMBER]
+        number = self.frame["vehicle_ints"][self.frame["agent_vehicle"], VEHICLE_INTS.index("vehicle_number")]
         return np.where(self.mask, number, -1).astype(np.int64)
 
     @property

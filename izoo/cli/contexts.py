@@ -15,7 +15,7 @@ from izoo.contexts.cities.rebuilt import CITIES, SIZES, city_name, get
 from izoo.contexts.context import ENGINES, HOURS, SEASONS, Context
 from izoo.contexts.splits import SPLITS
 from izoo.errors import IzooError
-from izoo.networks.osm.driving_side import SIDES
+from izoo.networks.osm.streets import SIDES
 
 CONTEXTS = SubcommandCommand(
     "contexts",

@@ -13,7 +13,7 @@ from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.envs import REFERENCE, simulator_of
 from izoo.envs.config import SPEED, STEP, EnvConfig
-from izoo.errors import CheckedOptions, IzooError
+from izoo.errors import CheckedOptions, IzooError, Ranges
 from izoo.files import make_absolute
 
 TWIN_ENVS = 64
@@ -189,7 +189,7 @@ class RolloutConfig(CheckedOptions):
     seed: int = 0
     num_workers: int = 2
     num_envs: int | None = None
-    ranges = (("seed", 0, 2**31 - 1), ("num_workers", 1, 1024), ("num_envs", 1, MAX_ENVS))
+    ranges: ClassVar[Ranges] = (("seed", 0, 2**31 - 1), ("num_workers", 1, 1024), ("num_envs", 1, MAX_ENVS))
 
     def __post_init__(self) -> None:
         super().__post_init__()

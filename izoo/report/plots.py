@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import BASELINES, UNCOMMANDED
 from izoo.metrics.statistics import performance_profile
-from izoo.report.tables import SAVED, Cell, Table, compared
+from izoo.report.tables import SAVED, Cell, Table, compared, ranking
 from izoo.training.plots import PALETTE, QUIET, Chart, Series, draw
 
 DELAY = "delay_change_s"
@@ -58,7 +58,7 @@ def forest(table: Table, name: str = "forest", column: int = 0) -> Chart:
 def tradeoff(summary: Mapping[str, Any]) -> Chart | None:
     """Return CO2 saved against the change of delay, both over uncommanded; ``None`` with a single entry."""
     block, series = summary["block"], []
-    tint = colours(list(summary["entries"]))
+    tint = colours(ranking(summary))
     for name in compared(summary):
         found = summary["entries"][name]["against"].get(UNCOMMANDED, {}).get(block, {}).get("figures", {})
         x, y = (found.get(key) for key in (DELAY, SAVED))

@@ -16,6 +16,7 @@ from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import BASELINES, HUMAN, UNCOMMANDED, pair, simulators
 from izoo.metrics.paper_form import paper_form
 from izoo.metrics.summary import TRAINING, summarise
+from izoo.report.tables import ranking
 from izoo.results.schema import FEATURES
 from izoo.results.store import MANIFEST_FILE, ROWS_FILE, Manifest, read_manifest, read_table
 from izoo.training.loggers import MetricsTable
@@ -51,8 +52,8 @@ class Evaluation:
 
     @property
     def policies(self) -> list[str]:
-        """Names of the policies, uncommanded last; human driving is only compared with."""
-        return sorted((name for name in self.summary["entries"] if name != HUMAN), key=UNCOMMANDED.__eq__)
+        """Names of the policies, the best first and uncommanded last; human driving is only compared with."""
+        return sorted((name for name in ranking(self.summary) if name != HUMAN), key=UNCOMMANDED.__eq__)
 
     def contexts(self, policy: str) -> pd.DataFrame:
         """Return every figure over uncommanded per training seed and context (:class:`izoo.metrics.pairing.Paired`)."""

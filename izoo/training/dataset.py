@@ -53,5 +53,8 @@ def _read_manifest(folder: Path | str) -> tuple[int, int, list[tuple[str, int]]]
         if manifest["format"] != FORMAT:
             raise ValueError(f"it is of format {manifest['format']!r}, not {FORMAT}")
         shards = [(shard["name"], int(shard["frames"])) for shard in manifest["shards"]]
+        for name, _ in shards:
+            if name in ("", "..") or name != Path(name).name:
+                raise ValueError(f"{name!r} is not the name of a shard")
         slots = check_whole("slots", manifest["slots"], 1, MAX_AGENTS)
         return check_whole("environments", manifest["environments"], 1, MAX_ENVS), slots, shards

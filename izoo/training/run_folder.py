@@ -83,8 +83,8 @@ def _remove(run_dir: Path, config: TrainConfig, made: Sequence[Path]) -> None:
     """Remove what a run has put into its folder, and the folders made for it that hold nothing else."""
     for path in (run_dir / CONFIG_FILE, *(kept for _, kept in _drivers(run_dir, config))):
         path.unlink(missing_ok=True)
-    for folder in LOGGER_FOLDERS:
-        shutil.rmtree(run_dir / folder, ignore_errors=True)
+    for name in LOGGER_FOLDERS:
+        shutil.rmtree(run_dir / name, ignore_errors=True)
     for folder in (checkpoint.folder_of(run_dir), *made):
         with contextlib.suppress(OSError):
             folder.rmdir()

@@ -29,12 +29,14 @@ def check_files(folder: Path) -> dict[str, tuple[str, list[int]]]:
     Its files are all there then, and whole: torch itself extends one that is too short, with zeros, when it maps it.
 
     Raises:
-        ValueError: a file is missing or of another size.
+        ValueError: a file is missing or of another size, or its name leads out of the folder.
     """
     leaves: dict[str, tuple[str, list[int]]] = {}
     for name, entry in json.loads((folder / "meta.json").read_text()).items():
         if not isinstance(entry, dict):
             continue
+        if name == ".." or name != Path(name).name:
+            raise ValueError(f"{name!r} is not a file name")
         if "dtype" not in entry:
             leaves |= {f"{name}/{leaf}": form for leaf, form in check_files(folder / name).items()}
             continue

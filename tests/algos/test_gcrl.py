@@ -189,3 +189,13 @@ def test_a_policy_sees_its_own_frame_alone(changes: dict[str, object]) -> None:
     torch.testing.assert_close(turned, together[..., order], atol=2e-5, rtol=2e-5)
     assert (together[:, ~CROWDED] == torch.tensor([[0.0], [1.0], [0.0], [0.0]])).all()
     assert policy.sample(observation, CROWDED, noise).requires_grad
+
+
+def test_gradients_do_not_reach_empty_slots() -> None:
+    network = make_network(range_m=None, neighbours=2)
+    observation = torch.randn(5, 4, FEATURES, requires_grad=True)
+    mask = torch.rand(5, 4, generator=torch.Generator().manual_seed(1)) < 0.6
+    network(observation, mask)[mask].sum().backward()
+    assert observation.grad is not None
+    assert not observation.grad[~mask].any()
+    assert observation.grad[mask].any()

@@ -1,4 +1,4 @@
-"""What MAPPO and graph RL share: whole frames, each seen alone."""
+"""What MAPPO and graph RL share: whole frames, and indifference to slot order, slot count and padding."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import math
 
 import pytest
 import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos.learners import base
 from izoo.algos.learners.graph_ppo import GCRL, GCRLConfig
@@ -107,3 +109,21 @@ def test_a_copied_policy_acts_by_its_own_weights(kind: str) -> None:
             parameter.zero_()
         assert torch.equal(other(batch.clone())[base.LOC], before)
     assert not act(algorithm, batch)[base.LOC][mask].any()
+
+
+def test_noise_in_empty_slots_does_not_reach_actions(kind: str) -> None:
+    algorithm, batch = make(kind), make_frames()
+    noisy = batch.clone()
+    noisy[base.OBSERVATION][~batch[base.MASK]] = 1e6
+    mask = batch[base.MASK]
+    torch.testing.assert_close(act(algorithm, noisy)[base.ACTION][mask], act(algorithm, batch)[base.ACTION][mask])
+
+
+def test_permuted_agents_act_alike(kind: str) -> None:
+    algorithm, batch = make(kind), make_frames()
+    order = torch.tensor([2, 0, 3, 1])
+    permuted = TensorDict({"agents": batch["agents"][..., order]}, batch.batch_size)
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        straight, turned = algorithm.policy(batch.clone())[base.ACTION], algorithm.policy(permuted)[base.ACTION]
+    mask = batch[base.MASK][..., order]
+    torch.testing.assert_close(turned[mask], straight[..., order, :][mask])

@@ -22,7 +22,7 @@ from izoo.contexts.procedural import procedural_context
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
-from izoo.results.contexts_file import context_from_dict
+from izoo.results.store import context_from_dict
 from izoo.traffic.drivers import built_in_population
 from izoo.traffic.sampling import sample_traffic
 from izoo.training import checkpoint

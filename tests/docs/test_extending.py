@@ -152,9 +152,8 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     named = shown('"hard_braking_s"').strip().replace('"  #', '",  #')
     write_before(tally, '    "due",', f"    {named}\n")
     write_before(copy / "metrics" / "figures.py", "    )\n}\n", f"        {shown('Figure')[:-1]},\n", "FIGURES: dict")
-    write_before(tally, "_STEPS = EPISODE", '_HARD_BRAKING_S = METRIC["hard_braking_s"]\n')
-    line = "            sums[p, _REGION_TIME_S] += step_s\n"
-    write_before(tally, line, textwrap.indent(shown(r"sums\[p, _HARD"), 12 * " "))
+    line = "            sums.region_time_s += step_s\n"
+    write_before(tally, line, textwrap.indent(shown(r"sums\.hard_braking_s"), 12 * " "))
     return copy
 
 

@@ -328,3 +328,26 @@ def test_files_that_are_no_tables(name: str, content: bytes | None, message: str
         read_following([path], ReadConfig())
     with pytest.raises(IzooError, match="is a folder"):
         read_following([tmp_path], ReadConfig())
+
+
+def test_no_pickle_is_ever_opened(tmp_path: Path) -> None:
+    """A table that would run code when unpickled is refused as text."""
+
+    class Trap:
+        def __reduce__(self) -> Any:
+            return (Path.touch, (tmp_path / "sprung",))
+
+    import pickle
+
+    for name in ("evil.csv", "evil.pkl"):
+        path = tmp_path / name
+        path.write_bytes(pickle.dumps(Trap()))
+        with pytest.raises(IzooError):
+            read_following([path], ReadConfig())
+    assert not (tmp_path / "sprung").exists()
+
+
+@pytest.mark.parametrize("name", ["gapfeet10", "pairs_exchanged"])
+def test_files_at_10_hz_in_wrong_units(faults: Path, name: str) -> None:
+    with pytest.raises(IzooError, match="times as fast as the speeds say"):
+        read_following([faults / "trajectories" / f"{name}.csv.gz"], ReadConfig())

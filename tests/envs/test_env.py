@@ -327,3 +327,11 @@ def test_observed_features_have_one_order(make: Make) -> None:
             columns = {name: present[:, k] for k, name in enumerate(env.observation_names)}
             assert env.config.observed == ("adoption", "green_s")
             assert (columns["context_adoption"] == 0.5).all() and (columns["context_green_s"] < 1.0).all()
+
+
+@each_kind
+def test_specs_below_transforms(make: Make, kind: Any) -> None:
+    transforms = Compose(
+        RewardSum(in_keys=[("agents", "reward")], out_keys=[("agents", "episode_reward")]), StepCounter(max_steps=20)
+    )
+    check_env_specs(TransformedEnv(make(*kind), transforms))

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 import typing
 from collections.abc import Callable
 from pathlib import Path
@@ -151,17 +152,6 @@ def test_reset_flags_at_the_root_or_of_all_agents_choose_environments(make: Make
         env.reset(state.clone().set(key, flags))
 
 
-def test_what_another_thread_uses_is_refused(make: Make) -> None:
-    env = make("twin", 2)
-    state = steer(env.reset())
-    with env.used_by_one_thread():
-        for call in (lambda: env.step(state.clone()), env.reset):
-            with pytest.raises(IzooError, match="another thread"):
-                call()
-    env.step(state)
-    assert played(env.reset()) == [2, 3], "the refused reset has used up no episodes"
-
-
 @pytest.mark.parametrize("simulator", SIMULATORS)
 def test_a_reset_without_any_flag_changes_nothing(make: Make, simulator: str) -> None:
     env = make(simulator)
@@ -244,3 +234,30 @@ def test_torchrls_workers_warn_if_they_play_the_same_episodes(makers: str, disti
     assert done.returncode == 0, done.stderr
     assert int(done.stdout.split()[-1]) == distinct
     assert ("plays the same episodes" in done.stderr.replace("\n", " ")) == ("k=k" not in makers)
+
+
+def test_a_second_thread_is_refused(make: Make) -> None:
+    """It would read the answers that the first one waits for."""
+    env = make("sumo", 2)
+    state = steer(env.reset())
+    asking, go_on, real = threading.Event(), threading.Event(), env.backend.step
+
+    def held(meanwhile: Any = None) -> Any:
+        asking.set()
+        go_on.wait(30)
+        return real(meanwhile)
+
+    env.backend.step = held
+    first = threading.Thread(target=env.step, args=(state.clone(),))
+    first.start()
+    try:
+        assert asking.wait(30)
+        for call in (lambda: env.step(state.clone()), env.reset):
+            with pytest.raises(IzooError, match="another thread"):
+                call()
+    finally:
+        go_on.set()
+        first.join(60)
+    env.backend.step = real
+    env.step(state)
+    assert played(env.reset()) == [2, 3], "the refused reset has used up no episodes"

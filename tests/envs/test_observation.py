@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,6 @@ from izoo.contexts.context import Context
 from izoo.contexts.features import OBSERVED
 from izoo.contexts.spec import Approach, IntersectionSpec, Leg
 from izoo.envs.config import NEIGHBOURS
-from izoo.envs.mdp.columns import BLINKER_LEFT, BLINKER_RIGHT, LOCATION, PATH_POSITION
 from izoo.envs.mdp.observation import FAR_M, NEIGHBOUR_FEATURES, observed_table
 from izoo.networks.road import INSIDE, LEAVING, RoadNet
 from tests.envs.placed import LEFT_BLINKER, RIGHT_BLINKER, Scene
@@ -49,8 +50,8 @@ def test_ego_inside_has_distance_zero(scene: Scene) -> None:
     me = scene.put(":TL_9_0", 3.0, way="AB")
     seen = scene.see(me)
     assert seen["stop_line_distance"] == 0.0 and seen["location_inside"] == 1.0 and seen["intention_left"] == 1.0
-    assert scene.floats[me, PATH_POSITION] == pytest.approx(8.0 + 3.0)
-    assert scene.ints[me, LOCATION] == INSIDE
+    assert scene.vehicles["path_position_m"][me] == pytest.approx(8.0 + 3.0)
+    assert scene.vehicles["location"][me] == INSIDE
 
 
 def test_ego_leaving_counts_from_the_exit(scene: Scene) -> None:
@@ -60,8 +61,8 @@ def test_ego_leaving_counts_from_the_exit(scene: Scene) -> None:
     scene.move(me, "TL2B_0", 4.0, 10.0)
     seen = scene.see(me)
     assert seen["stop_line_distance"] == pytest.approx(4.0 / 250.0) and seen["location_leaving"] == 1.0
-    assert scene.floats[me, PATH_POSITION] == pytest.approx(20.0 + 4.0)
-    assert scene.ints[me, LOCATION] == LEAVING
+    assert scene.vehicles["path_position_m"][me] == pytest.approx(20.0 + 4.0)
+    assert scene.vehicles["location"][me] == LEAVING
 
 
 def test_path_position_is_continuous(scene: Scene) -> None:
@@ -72,7 +73,7 @@ def test_path_position_is_continuous(scene: Scene) -> None:
     for lane, position in ways:
         scene.move(me, lane, position, 1.0)
         scene.read()
-        path.append(scene.floats[me, PATH_POSITION])
+        path.append(scene.vehicles["path_position_m"][me])
     assert path == pytest.approx([-101.0, -100.5, -100.0, 0.0, 0.0, 20.0, 20.0])
 
 
@@ -206,8 +207,7 @@ def test_neighbours_on_lanes_of_another_length(road: RoadNet) -> None:
     """Lanes of one edge end side by side: positions are compared from the end."""
     lengths = road.lane_length.copy()
     lengths[road.lane_ids.index("A2TL_1")] = 190.0
-    scene = Scene(road)
-    scene.lanes = scene.lanes._replace(lane_length=lengths)
+    scene = Scene(dataclasses.replace(road, lane_length=lengths))
     me = scene.put("A2TL_0", 100.0)  # 100 m before the end
     scene.put("A2TL_1", 110.0, speed=1.0)  # 80 m before the end
     scene.put("A2TL_1", 70.0, speed=2.0)  # 120 m before the end
@@ -242,7 +242,7 @@ def test_blinkers(scene: Scene, signals: int, left: int, right: int) -> None:
     other = scene.put("A2TL_1", 90.0, signals=signals | 8)  # other bits, such as the brake light, do not matter
     seen = neighbour(scene.see(me), "leader")
     assert (seen["blinker_left"], seen["blinker_right"]) == (left, right)
-    assert (scene.flags[other, BLINKER_LEFT], scene.flags[other, BLINKER_RIGHT]) == (left, right)
+    assert (scene.vehicles["blinker_left"][other], scene.vehicles["blinker_right"][other]) == (left, right)
 
 
 def test_sensor_range_is_bumper_to_bumper(scene: Scene) -> None:

@@ -13,7 +13,7 @@ from izoo.emissions.weights import load_weights
 from izoo.envs import SIMULATORS, EcoDrivingEnv, RewardConfig
 from izoo.envs.backend import episode_traffic
 from izoo.envs.mdp.blocked_demand import NEVER, idle_rates
-from izoo.envs.mdp.credit import BLOCKED, ENTERED
+from izoo.envs.mdp.state import BLOCKED, ENTERED
 from izoo.envs.mdp.units import human_units
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
@@ -135,9 +135,10 @@ def test_vehicles_that_left_during_the_warm_up_are_not_blocked() -> None:
         ) as env:
             play(env, config.control_steps - 1, defer)
             run = env.backend if simulator == "sumo" else env.backend._runs[0]  # type: ignore[attr-defined]
-            status, blocked, arrival_step = run.episode.demand_state
+            tables = run.episode.tables
+            status, arrival_step = tables.demand["status"], tables.demand["arrival_step"]
             assert (arrival_step == 0).sum() > 5 and ((status == ENTERED) == (arrival_step != NEVER)).all()
-            assert (status == BLOCKED).sum() == blocked[:, 0].sum() > 0
+            assert (status == BLOCKED).sum() == tables.blocked["vehicles"].sum() > 0
             assert not (arrival_step[status == BLOCKED] == 0).any()
 
 

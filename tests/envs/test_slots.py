@@ -9,7 +9,6 @@ import torch
 from tensordict import TensorDict
 
 from izoo.envs import EcoDrivingEnv, EnvConfig
-from izoo.envs.mdp.columns import COUNTED, CROSSED
 from tests.envs.worlds import crossing, defer, episode, play, short, steer
 
 
@@ -142,17 +141,16 @@ def test_more_vehicles_than_slots() -> None:
     assert few["next", "metrics", "episode", "unslotted"][-1] > 0
 
 
-def test_tables_grow() -> None:
-    """With more vehicles than the tables first have room for, no vehicle is lost."""
+def test_no_vehicle_of_a_crowd_is_lost() -> None:
+    """With far more vehicles than slots for them."""
     crowded = crossing(lane_count=4, inflow_vph_per_lane=900.0, adoption=1.0, lane_length_m=400.0)
     config = EnvConfig(horizon_s=260.0, warmup_s=5.0, num_agents=8, num_vehicles=16)
     with contextlib.closing(EcoDrivingEnv(crowded, config=config)) as env:
         frames = play(env, 380, defer)
         tables, members = env.backend.episode.tables, env.backend.episode.members
-    assert len(tables.flags) > 256
     assert frames["next", "metrics", "episode", "vehicle_steps"].diff(dim=0).max() > 256
-    approach, flags = frames["next", "metrics", "approach"][-1], tables.flags[members]
-    unfinished = int(((flags[:, COUNTED] == 1) & (flags[:, CROSSED] == 0)).sum())
+    approach, vehicles = frames["next", "metrics", "approach"][-1], tables.vehicles[members]
+    unfinished = int(((vehicles["counted"] == 1) & (vehicles["crossed"] == 0)).sum())
     assert approach["entered"].sum() == approach["crossed"].sum() + unfinished
 
 

@@ -147,7 +147,7 @@ def test_tails_that_do_not_fit_the_tables_are_counted(tmp_path: Path, way: str, 
     episode = TwinEpisode(case.world.net, twin_traffic(case.traffic, read_road(net), case.world.net))
     for _ in range(60):
         episode.step()
-    assert (episode.status == ARRIVED).all() and (episode.state.clock["lost_tails"] > 0) == lost
+    assert (episode.state.vehicles["status"] == ARRIVED).all() and (episode.state.clock["lost_tails"] > 0) == lost
 
 
 def test_lost_tails_are_reported(make_twin: MakeTwin, caplog: pytest.LogCaptureFixture) -> None:

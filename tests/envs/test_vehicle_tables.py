@@ -5,22 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from izoo.envs.mdp.columns import (
-    ACCEL,
-    FRESH,
-    GAP,
-    GRADE,
-    HAS_LEADER,
-    LANE,
-    LANE_POSITION,
-    LEADER_SPEED,
-    LOCATION,
-    MOVEMENT,
-    PREV_ACCEL,
-    STOP_LINE,
-    TTC,
-    WRONG_LANE,
-)
 from izoo.networks.road import APPROACHING
 from izoo.networks.turning import LEFT
 from tests.envs.placed import STEP_S, Scene
@@ -28,23 +12,27 @@ from tests.envs.placed import STEP_S, Scene
 
 def test_speed_and_acceleration(scene: Scene) -> None:
     me = scene.put("A2TL_0", 50.0, speed=10.0)
-    scene.floats[me, ACCEL] = 1.5  # as the simulator writes it for a new vehicle
-    scene.flags[me, FRESH] = 1
+    scene.vehicles["accel_mps2"][me] = 1.5  # as the simulator writes it for a new vehicle
+    scene.vehicles["fresh"][me] = 1
     scene.read()
-    assert (scene.floats[me, ACCEL], scene.floats[me, PREV_ACCEL]) == (1.5, 1.5)
+    assert (scene.vehicles["accel_mps2"][me], scene.vehicles["prev_accel_mps2"][me]) == (1.5, 1.5)
     scene.move(me, "A2TL_0", 55.0, 9.0)
     scene.read()
-    assert (scene.floats[me, ACCEL], scene.floats[me, PREV_ACCEL]) == ((9.0 - 10.0) / STEP_S, 1.5)
+    assert (scene.vehicles["accel_mps2"][me], scene.vehicles["prev_accel_mps2"][me]) == ((9.0 - 10.0) / STEP_S, 1.5)
     scene.move(me, "A2TL_0", 60.0, 9.0)
     scene.read()
-    assert (scene.floats[me, ACCEL], scene.floats[me, PREV_ACCEL]) == (0.0, -2.0)
+    assert (scene.vehicles["accel_mps2"][me], scene.vehicles["prev_accel_mps2"][me]) == (0.0, -2.0)
 
 
 def test_lane_columns(scene: Scene) -> None:
     me = scene.put("A2TL_intern_2", 30.0, way="AB")
     scene.read()
-    assert scene.ints[me, LANE] == 2 and scene.ints[me, MOVEMENT] == LEFT and scene.ints[me, LOCATION] == APPROACHING
-    assert scene.floats[me, LANE_POSITION] == 30.0 and scene.floats[me, STOP_LINE] == -70.0
+    assert (
+        scene.vehicles["lane"][me] == 2
+        and scene.vehicles["movement"][me] == LEFT
+        and scene.vehicles["location"][me] == APPROACHING
+    )
+    assert scene.vehicles["lane_position_m"][me] == 30.0 and scene.vehicles["stop_line_distance_m"][me] == -70.0
 
 
 @pytest.mark.parametrize(
@@ -63,7 +51,7 @@ def test_lane_columns(scene: Scene) -> None:
 def test_lanes_that_do_not_lead_to_the_exit_are_marked(scene: Scene, lane: str, way: str, wrong: int) -> None:
     me = scene.put(lane, 1.0, way=way)
     scene.read()
-    assert scene.flags[me, WRONG_LANE] == wrong
+    assert scene.vehicles["wrong_lane"][me] == wrong
 
 
 @pytest.mark.parametrize(
@@ -87,7 +75,7 @@ def test_grade_is_the_mean_under_the_vehicle(scene: Scene, lane: str, position: 
     """From back to front along its way, as SUMO takes it; the vehicle is 4 m long."""
     me = scene.put(lane, position, way=way, length=4.0)
     scene.read()
-    assert scene.floats[me, GRADE] == pytest.approx(grade, abs=5e-3)
+    assert scene.vehicles["grade_pct"][me] == pytest.approx(grade, abs=5e-3)
 
 
 def test_leader_columns_and_time_to_collision(scene: Scene) -> None:
@@ -95,18 +83,21 @@ def test_leader_columns_and_time_to_collision(scene: Scene) -> None:
     slow = scene.put("A2TL_0", 135.0, speed=4.0)
     scene.put("A2TL_1", 101.0, speed=0.0)
     scene.read()
-    assert scene.flags[fast, HAS_LEADER] == 1
-    assert (scene.floats[fast, GAP], scene.floats[fast, LEADER_SPEED]) == (30.0, 4.0)
-    assert scene.floats[fast, TTC] == pytest.approx(30.0 / 10.0)
-    assert scene.flags[slow, HAS_LEADER] == 0 and scene.floats[slow, GAP] == scene.floats[slow, LEADER_SPEED] == 0.0
-    assert scene.floats[slow, TTC] == np.inf
+    assert scene.vehicles["has_leader"][fast] == 1
+    assert (scene.vehicles["leader_gap_m"][fast], scene.vehicles["leader_speed_mps"][fast]) == (30.0, 4.0)
+    assert scene.vehicles["ttc_s"][fast] == pytest.approx(30.0 / 10.0)
+    assert (
+        scene.vehicles["has_leader"][slow] == 0
+        and scene.vehicles["leader_gap_m"][slow] == scene.vehicles["leader_speed_mps"][slow] == 0.0
+    )
+    assert scene.vehicles["ttc_s"][slow] == np.inf
 
 
 def test_time_to_collision_is_infinite_unless_closing_and_0_in_contact(scene: Scene) -> None:
     me = scene.put("A2TL_0", 100.0, speed=4.0)
     other = scene.put("A2TL_0", 135.0, speed=4.0)
     scene.read()
-    assert scene.floats[me, TTC] == np.inf
+    assert scene.vehicles["ttc_s"][me] == np.inf
     scene.move(other, "A2TL_0", 103.0, 0.0)
     scene.read()
-    assert scene.floats[me, GAP] == -2.0 and scene.floats[me, TTC] == 0.0
+    assert scene.vehicles["leader_gap_m"][me] == -2.0 and scene.vehicles["ttc_s"][me] == 0.0

@@ -2,42 +2,15 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import time
-from pathlib import Path
 
 import pytest
 
 from izoo.contexts.procedural import procedural_intersection
 from izoo.errors import IzooError
 from izoo.networks.net import net_cache as cache
-from izoo.networks.net.build import build_net, build_nets
-from izoo.networks.road import read_road
-
-PROCESSES = 3
-SPECS = [procedural_intersection(lanes) for lanes in (1, 2)]
-
-
-def build_and_read(folder: str, barrier, results) -> None:
-    """Build the same nets as everyone else, at the same time, one by one and together, and read them."""
-    barrier.wait()
-    for paths in ([build_net(SPECS[0], Path(folder))], build_nets(SPECS, Path(folder))):
-        results.put((str(paths[-1]), read_road(paths[-1]).sha256))
-
-
-def test_many_processes_build_at_once(tmp_path):
-    context = multiprocessing.get_context("spawn")
-    barrier, results = context.Barrier(PROCESSES), context.Queue()
-    workers = [context.Process(target=build_and_read, args=(str(tmp_path), barrier, results)) for _ in range(PROCESSES)]
-    for worker in workers:
-        worker.start()
-    found = [results.get(timeout=120) for _ in range(2 * PROCESSES)]
-    for worker in workers:
-        worker.join(timeout=30)
-    assert [worker.exitcode for worker in workers] == [0] * PROCESSES
-    assert len(set(found)) == 2
-    assert sorted(path.name for path in (tmp_path / "nets").iterdir()) == sorted({Path(path).name for path, _ in found})
+from izoo.networks.net.build import build_net
 
 
 @pytest.mark.parametrize("cut", [0, 1, 37, -1])

@@ -11,7 +11,8 @@ import pytest
 
 from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import ContextList
-from izoo.envs.mdp.signals import clock_arrays, phase_of_step, read_clock
+from izoo.envs.mdp.signals import CLOCK, Shown, clock_tables, phase_of_step, read_clock
+from izoo.envs.tables import compiled, directory, opener
 from izoo.errors import IzooError
 from izoo.networks.clock import GREEN, NEVER_S, RED, YELLOW, SignalClock, make_clock
 from izoo.networks.net.build import build_net
@@ -27,15 +28,26 @@ def plan(duration_s: np.ndarray, colour: np.ndarray, offset_s: float = 0.0) -> S
 
 def evaluate(clock: SignalClock, time_s: float) -> tuple[int, np.ndarray]:
     """Return the phase and ``[4, P, Q]``: colour, time left, second and third green."""
-    arrays = clock_arrays(clock)
-    read_clock(time_s, arrays)
-    state = np.stack([arrays.now, arrays.time_left_s, arrays.until_second_s, arrays.until_third_s])
-    return driven(clock, time_s + 0.001), state
+    signal = np.zeros(clock.green_s.shape, Shown)
+    tables = clock_tables(clock)
+    words = directory(tables, CLOCK)
+    phase = _evaluate(words.ctypes.data, time_s, signal)
+    return phase, np.stack([signal[name] for name in ("colour", "change_s", "second_green_s", "third_green_s")])
+
+
+open_clock = opener(CLOCK)
+
+
+@compiled
+def _evaluate(clock_at, time_s, signal):  # type: ignore[no-untyped-def]
+    clock = open_clock(clock_at)
+    read_clock(time_s, clock, signal)
+    return phase_of_step(time_s + 0.001, clock)
 
 
 def driven(clock: SignalClock, time_s: float) -> int:
     """Return the phase that vehicles drove by in the step that ended at ``time_s``."""
-    return int(phase_of_step(time_s, clock_arrays(clock)))
+    return evaluate(clock, time_s - 0.001)[0]
 
 
 @pytest.fixture(scope="module")

@@ -15,9 +15,9 @@ from izoo.networks.draw.intersection import (
     draw_features,
     draw_intersection,
     group_colours,
+    layout_of,
     played_features,
 )
-from izoo.networks.draw.plan_view import layout_of
 from izoo.networks.net.connections import signal_links
 from izoo.networks.road import read_road
 from tests.networks.test_dataset import _pocket_net, published, write  # noqa: F401

@@ -12,7 +12,6 @@ import pytest
 
 from izoo.errors import IzooError
 from izoo.files import partial_of
-from izoo.networks.dataset import importing
 from izoo.networks.dataset.importing import import_dataset
 from izoo.networks.dataset.intersections import load_dataset
 from tests.networks.test_dataset import NET, write
@@ -45,7 +44,7 @@ def tree(folder: Path) -> set[str]:
 def test_copies_the_usable_folders_and_says_why_others_are_not(tmp_path: Path, source: Path) -> None:
     target, seen = tmp_path / "target", []
     report = import_dataset(source, target, progress=lambda done, total: seen.append((done, total)))
-    assert [row.intersection for row in report.usable] == ["9", "10"]
+    assert [spec.name for spec in report.usable] == ["salt_lake_city/9", "salt_lake_city/10"]
     assert set(report.unusable) == {f"salt-lake-city/{name}" for name in ("11", "12", "13")}
     assert "not well-formed" in report.unusable["salt-lake-city/11"]
     assert "1 lines for the 3 legs" in report.unusable["salt-lake-city/12"]
@@ -72,12 +71,13 @@ def test_zip_and_folder_give_the_same_import(tmp_path: Path, source: Path) -> No
     names = [path for path in source.rglob("*") if path.is_file()]
     members = {path.relative_to(tmp_path).as_posix(): path.read_bytes() for path in names}
     archive = pack(tmp_path / "download.zip", {**members, "salt-lake-city/13/": b"", "__MACOSX/9/net.net.xml": b"x"})
-    plain = import_dataset(source, tmp_path / "plain")
+    zipped, plain = import_dataset(archive, tmp_path / "one"), import_dataset(source, tmp_path / "two")
+    assert zipped.unusable == plain.unusable
+    assert [spec.name for spec in zipped.usable] == [spec.name for spec in plain.usable]
+    assert tree(tmp_path / "one") == tree(tmp_path / "two")
     windows = pack(tmp_path / "windows.zip", {name.replace("/", "\\"): content for name, content in members.items()})
-    for packed, lacking in ((archive, set()), (windows, {"salt-lake-city/13"})):
-        zipped = import_dataset(packed, tmp_path / packed.stem)
-        assert zipped.usable == plain.usable and set(plain.unusable) - set(zipped.unusable) == lacking
-        assert tree(tmp_path / packed.stem) == tree(tmp_path / "plain")
+    import_dataset(windows, tmp_path / "three")
+    assert tree(tmp_path / "three") == tree(tmp_path / "two")
 
 
 def test_a_single_intersection_and_an_archive_without_a_top_folder(tmp_path: Path, source: Path) -> None:
@@ -131,12 +131,6 @@ def test_damaged_archives_are_named(tmp_path: Path, source: Path) -> None:
     path.write_bytes(data)
     with pytest.raises(IzooError, match="none of the 1 folders"):
         import_dataset(path, tmp_path / "target")
-    path = pack(tmp_path / "v.zip", {"t/1/net.net.xml": NET, "t/1/inflows.txt": "1\n1\n1\n"})
-    data = bytearray(path.read_bytes())
-    data[data.rindex(b"PK\x01\x02") + 6] = 140  # the version that it takes to unpack a member, in the directory
-    path.write_bytes(data)
-    with pytest.raises(IzooError, match=r"neither a folder nor a readable zip archive .*14"):
-        import_dataset(path, tmp_path / "target")
     assert not (tmp_path / "target").exists()
 
 
@@ -187,7 +181,7 @@ def test_an_earlier_import_is_replaced_whole(tmp_path: Path, source: Path) -> No
     assert not (target / "salt-lake-city").exists()
 
 
-def test_an_import_is_whole_or_leaves_no_trace(tmp_path: Path, source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_import_is_whole_or_leaves_no_trace(tmp_path: Path, source: Path) -> None:
     target = tmp_path / "target"
 
     def stop(done: int, total: int) -> None:
@@ -205,10 +199,11 @@ def test_an_import_is_whole_or_leaves_no_trace(tmp_path: Path, source: Path, mon
         import_dataset(source, target, progress=stop)
     assert tree(tmp_path) == before and len(load_dataset(target)) == 1
 
-    def full(path: Path, content: object) -> None:
-        raise OSError("disk full")
 
-    monkeypatch.setattr(importing, "write_json", full)
-    with pytest.raises(IzooError, match="disk full"):
-        import_dataset(source, target)
-    assert tree(tmp_path) == before and len(load_dataset(target)) == 1
+def test_bombs_are_not_read(tmp_path: Path) -> None:
+    good: dict[str, str | bytes] = {"t/1/net.net.xml": NET, "t/1/inflows.txt": "1\n1\n1\n"}
+    large = pack(tmp_path / "b.zip", {**good, "t/2/net.net.xml": b" " * (17 * 1024**2), "t/2/inflows.txt": "1"})
+    assert "larger than 16 MiB" in import_dataset(large, tmp_path / "b").unusable["t/2"]
+    entity = '<!DOCTYPE net [<!ENTITY a "' + "a" * 99 + '">]>' + NET.replace('speed="13.41"', 'speed="&a;"')
+    bomb = pack(tmp_path / "c.zip", {**good, "t/2/net.net.xml": entity, "t/2/inflows.txt": "1\n1\n1\n"})
+    assert "EntitiesForbidden" in import_dataset(bomb, tmp_path / "c").unusable["t/2"]

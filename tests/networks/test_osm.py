@@ -69,11 +69,11 @@ def crossing(*, signal: bool = True) -> Map:
     return plan
 
 
-def build(plan: Map, tmp_path: Path, **options: Any) -> tuple[IntersectionSpec, OsmReport]:
-    """Build a map that has one intersection."""
-    report = build_from_osm(plan.write(tmp_path / "map.osm"), target=tmp_path / "town", **options)
-    (spec,) = load_specs(tmp_path / "town")
-    return spec, report
+def build(plan: Map | Path, tmp_path: Path, **options: Any) -> tuple[IntersectionSpec, OsmReport]:
+    """Build a map into ``town``; return its first intersection as well."""
+    extract = plan.write(tmp_path / "map.osm") if isinstance(plan, Map) else plan
+    report = build_from_osm(extract, target=tmp_path / "town", **options)
+    return load_specs(tmp_path / "town")[0], report
 
 
 def approach(spec: IntersectionSpec, leg: str) -> Approach:
@@ -437,14 +437,9 @@ def test_the_build_is_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyP
     extract, target = crossing().write(tmp_path / "map.osm"), tmp_path / "town"
     build_from_osm(extract, target=target)
     before = {path.name: path.read_bytes() for path in target.iterdir()}
-
-    def fail(*_: object, **__: object) -> str:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(osm_store.json, "dumps", fail)
-    with pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(osm_store, "asdict", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
         build_from_osm(extract, target=target)
-    monkeypatch.undo()
     assert {path.name: path.read_bytes() for path in target.iterdir()} == before
     partial_of(tmp_path / "town").mkdir()  # as a process that died has left it
     build_from_osm(extract, target=target)
@@ -452,8 +447,6 @@ def test_the_build_is_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyP
     (target / "notes.txt").write_text("mine")
     with pytest.raises(IzooError, match=r"holds other files \(notes\.txt\)"):
         build_from_osm(extract, target=target)
-    with pytest.raises(IzooError, match="cannot write to"):
-        build_from_osm(extract, target=extract / "inside")
 
 
 def test_a_damaged_build_is_refused(tmp_path: Path) -> None:

@@ -16,13 +16,14 @@ from izoo.contexts.spec import IntersectionSpec
 from izoo.errors import IzooError
 from izoo.networks.dataset.intersections import load_specs
 from izoo.networks.net.build import build_net, net_key
-from izoo.networks.osm.driving_side import left_hand_region
 from izoo.networks.osm.extract import build_from_osm
+from izoo.networks.osm.streets import left_hand_region
 from izoo.networks.road import read_road
 from izoo.networks.signals.delay import peak_movements
-from izoo.results.contexts_file import context_from_dict
+from izoo.results.store import context_from_dict
 from izoo.traffic.sampling import sample_traffic
 from tests.networks.test_osm import Map, approach, crossing
+from tests.networks.test_osm import build as osm_build
 
 pytest.importorskip("osmium", reason="reading OpenStreetMap needs the extra izoo[osm]")
 
@@ -41,8 +42,7 @@ PLAN = {
 
 
 def build(tmp_path: Path, plan: Map | None = None, **options: Any) -> IntersectionSpec:
-    build_from_osm((plan or crossing()).write(tmp_path / "map.osm"), target=tmp_path / "town", **options)
-    return load_specs(tmp_path / "town")[0]
+    return osm_build(plan or crossing(), tmp_path, **options)[0]
 
 
 def edit(file: Path, plan: Any) -> None:

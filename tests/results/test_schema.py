@@ -17,8 +17,8 @@ from izoo.contexts.procedural import EASY, ProceduralSource
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
-from izoo.results.contexts_file import CONTEXTS_FILE, add_contexts, context_from_dict, read_contexts
 from izoo.results.schema import COLUMNS, KEY, make_table, volume_over_capacity
+from izoo.results.store import CONTEXTS_FILE, add_contexts, context_from_dict, read_contexts
 
 
 def context_with(**features: object) -> Context:

@@ -4,8 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from izoo.emissions.classes import CLASSES
-from izoo.emissions.tables import DATA
+from izoo.emissions.classes import CLASSES, DATA
 from izoo.traffic.drivers import built_in_population, mean_and_factor, sample_drivers
 from izoo.traffic.fleet import CLASS_SOURCE_TYPE, class_shares, lengths_m, sample_classes
 from izoo.traffic.sampling import sample_traffic

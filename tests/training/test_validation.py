@@ -7,6 +7,8 @@ import dataclasses
 import json
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -233,3 +235,21 @@ def test_weights_that_are_shown_to_be_slower_give_way_to_others(tmp_path: Path) 
     path.write_text("frames,co2_saved,slower,best\n50,9.0,1,1\n100,1.0,0,1\n")
     validator = Validator(TrainConfig(), tmp_path, frames=100)
     assert validator._is_best({**faster, "co2_saved": 1.5}) and not validator._is_best({**faster, "co2_saved": 0.5})
+
+
+@pytest.mark.slow
+def test_processes_import_what_the_run_does(tmp_path: Path) -> None:
+    """All of them: those that simulate, that play the last comparison, and that validate. None looks into the current
+    folder or where ``PYTHONPATH`` leads, if the run does not.
+    """
+    for name in ("json.py", "sitecustomize.py", "izoo.py"):
+        (tmp_path / name).write_text(f"open({str(tmp_path / 'ran')!r}, 'w'); raise SystemExit('a decoy')")
+    words = [word for word in TOY if not word.startswith("evaluation")]
+    words += ["collector=parallel", "num_workers=2", "total_frames=600", f"run_dir={tmp_path / 'run'}"]
+    words += ["evaluation.contexts=1", "evaluation.seeds=1"]
+    command = [sys.executable, "-I", "-c", f"from izoo import train; raise SystemExit(train.main({words!r}))"]
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0 and "failed" not in done.stderr, done.stderr
+    assert not (tmp_path / "ran").exists()
+    assert len(rows(tmp_path / "run" / validation.VALIDATION_FILE)) == 1

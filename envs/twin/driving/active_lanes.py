@@ -7,7 +7,7 @@ changes made on edges before it in this order, but not those after it.
 
 from __future__ import annotations
 
-from izoo.envs.twin.runtime.compiled import compiled
+from izoo.envs.tables import compiled
 from izoo.envs.twin.runtime.layout import NOT_ACTIVE
 
 

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
+from izoo.envs.tables import compiled, fused
 from izoo.envs.twin.driving.tolerances import EPS
-from izoo.envs.twin.runtime.compiled import compiled, fused
 
 SUB_STEP_S = 0.25
 FREE_GAP_M = 1e6

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.car_following import brake_gap, free_speed, secure_gap, stop_speed
 from izoo.envs.twin.driving.lane_queues import insert_into_lane, last_tail, last_vehicle, rear_position
 from izoo.envs.twin.driving.tolerances import POSITION_EPS
 from izoo.envs.twin.driving.traffic_lights import ALLWAY_STOP, EQUAL, MINOR, PRIORITY_GREEN, STOP, is_major
 from izoo.envs.twin.net.best_lanes import find_variant
 from izoo.envs.twin.net.conflicts import DIVERGING
-from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import DRIVING, DROPPED, WAITING
 
 ENTER, WAIT, DROP = range(3)
@@ -173,6 +173,6 @@ def insert_vehicle(net, traffic, state, v, lane):  # type: ignore[no-untyped-def
     vehicles, driver = state.vehicles, traffic.drivers[v]
     vehicles[v].position = min(net.lanes[lane].length, driver.length + POSITION_EPS)
     vehicles[v].speed, vehicles[v].accel = driver.depart_speed, 0.0
-    state.vehicles[v].status = DRIVING
+    vehicles[v].status = DRIVING
     insert_into_lane(state, v, lane)
     state.clock.on_road += 1

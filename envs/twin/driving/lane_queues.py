@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from izoo.envs.twin.runtime.compiled import compiled
+from izoo.envs.tables import compiled
 from izoo.envs.twin.runtime.layout import MAX_TAIL_LANES
 
 
@@ -10,10 +10,10 @@ from izoo.envs.twin.runtime.layout import MAX_TAIL_LANES
 def insert_into_lane(state, v, lane):  # type: ignore[no-untyped-def]
     """Insert vehicle ``v`` into the queue of ``lane`` by its position, behind others at the same position."""
     vehicles, lanes = state.vehicles, state.lanes
-    position = state.vehicles[v].position
+    position = vehicles[v].position
     # From upstream, because a vehicle that comes to a lane is mostly its last.
     ahead, behind = lanes[lane].back, -1
-    while ahead >= 0 and state.vehicles[ahead].position < position:
+    while ahead >= 0 and vehicles[ahead].position < position:
         behind = ahead
         ahead = vehicles[ahead].ahead
     vehicles[v].lane = lane

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.car_following import (
     accelerated_speed,
     arrival_time_s,
@@ -28,7 +29,6 @@ from izoo.envs.twin.driving.tolerances import EPS, POSITION_EPS, VISIBILITY_M
 from izoo.envs.twin.driving.traffic_lights import is_major, is_red_or_yellow
 from izoo.envs.twin.junction.foes import Plan, limit_by_foes
 from izoo.envs.twin.junction.right_of_way import slows_before
-from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import MAX_ITEMS_PER_VEHICLE
 
 STOP_LINE_GAP_M = 1.0
@@ -45,7 +45,7 @@ def plan(net, traffic, state, v, step_ms):  # type: ignore[no-untyped-def]
     step_s = step_ms / 1000.0
     vehicles = state.vehicles
     driver = traffic.drivers[v]
-    route = traffic.drivers[v].route
+    route = driver.route
     variant = vehicles[v].variant
     speed, lane = vehicles[v].speed, vehicles[v].lane
     top = vehicles[v].top_speed
@@ -179,10 +179,9 @@ def register_approaches(state):  # type: ignore[no-untyped-def]
     for link in range(state.link_first.shape[0]):
         state.link_first[link] = -1
     for item in range(state.clock.items):
-        link = state.items[item].link
-        if link >= 0:
-            planned = state.items[item]
+        planned = state.items[item]
+        if planned.link >= 0:
             mean = max(0.5 * (planned.arrival_speed + planned.leave_speed), EPS)
             planned.leave_ms = planned.arrival_ms + int(1000.0 * planned.passage / mean + 0.5)
-            state.items[item].next = state.link_first[link]
-            state.link_first[link] = item
+            planned.next = state.link_first[planned.link]
+            state.link_first[planned.link] = item

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.car_following import brake_gap, desired_speed, max_speed, min_speed, stop_speed
 from izoo.envs.twin.driving.lane_queues import clear_tail, remove_from_lane, set_tail
 from izoo.envs.twin.driving.link_planning import SPEED_EPS
@@ -14,7 +15,6 @@ from izoo.envs.twin.lane_change.blinkers import blinkers
 from izoo.envs.twin.lane_change.cooperation import advised_speed
 from izoo.envs.twin.lane_change.downstream_occupancy import remember_downstream_occupancy
 from izoo.envs.twin.net.best_lanes import find_variant
-from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import ARRIVED, MAX_TAIL_LANES
 
 
@@ -91,7 +91,7 @@ def next_speed(net, traffic, state, v, safe, needed, step_ms):  # type: ignore[n
     hardest = max(0.0, speed - driver.emergency_decel * step_s)
     slowest = min_speed(driver, speed, step_s)
     fastest = max_speed(driver, speed, vehicles[v].top_speed, step_s)
-    limit = desired_speed(net, state, v, state.vehicles[v].lane)
+    limit = desired_speed(net, state, v, vehicles[v].lane)
     low = min(slowest, max(safe, hardest))
     high = max(low, min(fastest, safe, max(limit, safe)))
     result = advised_speed(net, traffic, state, v, low, high, high, step_s)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from izoo.envs.mdp.commands import TOP_SPEED_MPS
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.active_lanes import activate_occupied, deactivate_empty
 from izoo.envs.twin.driving.insertion import insert_vehicles
 from izoo.envs.twin.driving.lane_queues import insert_into_lane
@@ -14,7 +15,6 @@ from izoo.envs.twin.driving.traffic_lights import reset_signals, update_signals
 from izoo.envs.twin.junction.keep_clear import keep_clear
 from izoo.envs.twin.lane_change.cooperation import clear_advice
 from izoo.envs.twin.lane_change.execution import change_lanes, read_lane_command
-from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
     MAX_ADVICES,
     MAX_ITEMS_PER_VEHICLE,
@@ -90,7 +90,7 @@ def step(net_at, traffic_at, state_at, step_ms, ranges):  # type: ignore[no-unty
     """Advance an environment by ``step_ms``; commands are read from its state.
 
     Args:
-        net_at, traffic_at, state_at: addresses of the directories, see :mod:`izoo.envs.twin.runtime.compiled`.
+        net_at, traffic_at, state_at: addresses of the directories, see :mod:`izoo.envs.tables`.
         ranges: memory to prefetch (:mod:`izoo.envs.twin.runtime.prefetch`).
     """
     net, traffic, state = open_net(net_at), open_traffic(traffic_at), open_state(state_at)

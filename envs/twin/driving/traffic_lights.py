@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from izoo.envs.twin.runtime.compiled import compiled
+from izoo.envs.tables import compiled
 from izoo.envs.twin.runtime.layout import TwinNet, TwinState
 
 RED, YELLOW, OFF_YELLOW = ord("r"), ord("y"), ord("Y")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.car_following import brake_gap, desired_speed, follow_speed, stop_speed
 from izoo.envs.twin.driving.lane_queues import rear_position
 from izoo.envs.twin.driving.tolerances import POSITION_EPS, STANDING_MPS
 from izoo.envs.twin.driving.traffic_lights import OFF_YELLOW, RED, YELLOW, is_green, is_major
 from izoo.envs.twin.net.conflicts import CROSSING, DIVERGING, MERGING, NOWHERE
-from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import NEVER_MS
 
 BLOCKED_AFTER_MS = 5000
@@ -85,13 +85,10 @@ def gap_to_foe(net, traffic, state, v, w, ahead, step_s):  # type: ignore[no-unt
         return False, 0.0, 0.0
     row, distance_m = ahead.row, ahead.distance_m
     kind = net.conflicts[row].kind
-    crosses = kind == CROSSING
-    size = foe_size = 0.0
-    if crosses:
-        size, foe_size = net.conflicts[row].size, net.conflicts[row].foe_size
+    crosses, foe_size = kind == CROSSING, net.conflicts[row].foe_size
     foe_to_end = net.conflicts[row].foe_to_end
     to_conflict = distance_m - net.conflicts[row].to_end
-    if kind != MERGING and to_conflict + size < 0.0:
+    if kind != MERGING and to_conflict + net.conflicts[row].size < 0.0:
         return False, 0.0, 0.0
     outside = net.lanes[state.vehicles[v].lane].inside == 0
     nowhere = foe_to_end == NOWHERE

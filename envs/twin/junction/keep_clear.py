@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.car_following import brake_gap
 from izoo.envs.twin.driving.lane_queues import last_vehicle
 from izoo.envs.twin.driving.tolerances import POSITION_EPS, STANDING_MPS
-from izoo.envs.twin.runtime.compiled import compiled
 
 
 @compiled
@@ -42,14 +42,15 @@ def keep_clear(net, traffic, state, v, in_front_m, step_s):  # type: ignore[no-u
         return
     braking = brake_gap(state.vehicles[v].speed, traffic.drivers[v].decel, 0.0, step_s) + POSITION_EPS
     for item in range(blocked, first + count):
-        planned, link = state.items[item], state.items[item].link
+        planned = state.items[item]
+        link = planned.link
         if link < 0:
             break
         planned.pass_speed = planned.wait_speed
         leaves = net.lanes[net.links[link].from_lane].inside == 1 and net.links[link].via_lane < 0
         entered = item > first and state.items[item - 1].request == 1
         if planned.distance >= braking and not (leaves and entered):
-            state.items[item].request = 0
+            planned.request = 0
 
 
 @compiled

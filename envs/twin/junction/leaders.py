@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.car_following import desired_speed, follow_speed, stop_speed
 from izoo.envs.twin.driving.lane_queues import rear_position
 from izoo.envs.twin.driving.tolerances import POSITION_EPS
 from izoo.envs.twin.driving.traffic_lights import RED
 from izoo.envs.twin.junction.foes import Encounter, gap_to_foe, is_before_wait
-from izoo.envs.twin.net.conflicts import CROSSING, DIVERGING, MERGING, NOWHERE
-from izoo.envs.twin.runtime.compiled import compiled
+from izoo.envs.twin.net.conflicts import DIVERGING, MERGING, NOWHERE
 
 
 @compiled
@@ -50,10 +50,7 @@ def leader_in_conflict(net, traffic, state, v, link, distance_m, step_s):  # typ
                     counts, gap = True, gap_beside
             if not counts:
                 continue
-            if is_before_wait(net, row):
-                gap = -1.0
-            elif net.conflicts[row].kind == CROSSING:
-                gap -= net.conflicts[row].foe_size
+            gap = -1.0 if is_before_wait(net, row) else gap - net.conflicts[row].foe_size
             if gap >= 0.0:
                 safe = follow_speed(driver, gap, speed, state.vehicles[w].speed, wish, step_s)
             else:
@@ -77,9 +74,7 @@ def _gap_beside(net, traffic, state, v, w, row, distance_m):  # type: ignore[no-
     foe_to_end = net.conflicts[row].foe_to_end
     if w == v or foe_to_end == NOWHERE:
         return False, 0.0
-    size = foe_size = 0.0
-    if kind == CROSSING:
-        size, foe_size = net.conflicts[row].size, net.conflicts[row].foe_size
+    size, foe_size = net.conflicts[row].size, net.conflicts[row].foe_size
     to_conflict = distance_m - net.conflicts[row].to_end
     back_left = net.lanes[lane].length - foe_to_end - rear_position(net, traffic, state, w, lane)
     if kind != MERGING and (to_conflict + size + traffic.drivers[v].length <= 0.0 or back_left + foe_size <= 0.0):

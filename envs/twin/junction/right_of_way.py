@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.tolerances import STANDING_MPS, VISIBILITY_M
 from izoo.envs.twin.driving.traffic_lights import RED, STOP, YELLOW, is_major
-from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import NEVER_MS
 
 MARGIN_MS = 1000
@@ -106,7 +106,7 @@ def may_pass(net, traffic, state, item, step_ms):  # type: ignore[no-untyped-def
         for k in range(first, first + net.links[link].responses):
             if _blocks(net, traffic, state, item, net.responses[k], step_ms):
                 return False
-    if letter == STOP and state.items[item].distance <= VISIBILITY_M:
+    if letter == STOP and planned.distance <= VISIBILITY_M:
         state.vehicles[v].stood_for = link
     return True
 
@@ -137,32 +137,22 @@ def _meets(traffic, state, item, foe, merging, step_ms):  # type: ignore[no-unty
     if other.leave_ms < arrival:
         return merging and (
             arrival - other.leave_ms < MARGIN_MS
-            or _unsafe_merge(
-                state.items[foe].leave_speed,
-                traffic.drivers[w].decel,
-                state.items[item].arrival_speed,
-                traffic.drivers[v].decel,
-            )
+            or _unsafe_merge(other.leave_speed, traffic.drivers[w].decel, own.arrival_speed, traffic.drivers[v].decel)
         )
-    foe_arrival, foe_speed = float(other.arrival_ms), state.items[foe].braked_speed
+    foe_arrival, foe_speed = float(other.arrival_ms), other.braked_speed
     impatience = min(1.0, state.vehicles[v].waiting_ms / IMPATIENT_AFTER_MS)
     if impatience > 0.0 and foe_arrival > arrival:
         # The foe is assumed to approach at constant speed, and to brake when the vehicle arrives.
         now = state.clock.now_ms - step_ms
-        foe_speed = state.items[foe].distance / (0.001 * (foe_arrival - now))
+        foe_speed = other.distance / (0.001 * (foe_arrival - now))
         way = 0.001 * (foe_arrival - arrival) * foe_speed
         steps = (arrival - now) // step_ms
-        room = state.items[foe].distance - 0.001 * steps * step_ms * foe_speed
+        room = other.distance - 0.001 * steps * step_ms * foe_speed
         braking_s, foe_speed = _braked_arrival(way, room, foe_speed, impatience * traffic.drivers[w].decel)
         braked = (arrival if braking_s < NEVER_LATER_S else foe_arrival) + 1000.0 * braking_s
         foe_arrival += impatience * (braked - foe_arrival)
     if foe_arrival > leave + MARGIN_MS:
-        return merging and _unsafe_merge(
-            state.items[item].leave_speed,
-            traffic.drivers[v].decel,
-            foe_speed,
-            traffic.drivers[w].decel,
-        )
+        return merging and _unsafe_merge(own.leave_speed, traffic.drivers[v].decel, foe_speed, traffic.drivers[w].decel)
     return True
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.car_following import desired_speed
 from izoo.envs.twin.lane_change.flags import COOPERATIVE, LEFTWARD, RIGHT_KEEPING, RIGHTWARD, STRATEGIC
-from izoo.envs.twin.runtime.compiled import compiled
 
 _RIGHT, _LEFT = 1, 2
 """Bits of ``signals``, with the values that SUMO's ``vehicle.getSignals`` reports."""

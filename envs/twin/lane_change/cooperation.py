@@ -6,6 +6,7 @@ when the vehicle moves next, and :func:`clear_advice` clears it then.
 
 from __future__ import annotations
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.car_following import (
     brake_gap,
     desired_speed,
@@ -30,7 +31,6 @@ from izoo.envs.twin.lane_change.flags import (
     WANTED_RIGHTWARD,
     WANTS_CHANGE,
 )
-from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import MAX_ADVICES
 
 OVERTAKING_MPS = 10.0 / 3.6

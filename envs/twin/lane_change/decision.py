@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.car_following import brake_gap, desired_speed, follow_speed, safe_stop_speed, secure_gap
 from izoo.envs.twin.driving.tolerances import EPS, STANDING_MPS
 from izoo.envs.twin.lane_change.cooperation import (
@@ -45,7 +46,6 @@ from izoo.envs.twin.lane_change.flags import (
     WANTED_RIGHTWARD,
     WANTS_CHANGE_OR_STAY,
 )
-from izoo.envs.twin.runtime.compiled import compiled
 
 _LOOK_AHEAD_DECAY_PER_S = 0.1
 _LOOK_AHEAD_S = 10.0
@@ -245,7 +245,7 @@ def _prepare_urgent_change(net, traffic, state, v, change, around, blocked, flag
 def _discretionary_change(net, traffic, state, v, change, around, flags, step_s):  # type: ignore[no-untyped-def]
     """Return the state bits of a request that the route does not press for: cooperation, speed gain, keeping right."""
     vehicles, driver = state.vehicles, traffic.drivers[v]
-    lane, variant = state.vehicles[v].lane, state.vehicles[v].variant
+    lane, variant = vehicles[v].lane, vehicles[v].variant
     target, right = lane + change.side, change.side < 0
     toward = RIGHTWARD if right else LEFTWARD
     speed = vehicles[v].speed
@@ -254,7 +254,7 @@ def _discretionary_change(net, traffic, state, v, change, around, flags, step_s)
     allowed = target_length / (abs(change.offset) + 1) > change.look_ahead_m
 
     wanted = WANTED_RIGHTWARD if right else WANTED_LEFTWARD
-    own = state.vehicles[v].change_state
+    own = vehicles[v].change_state
     if own & BLOCKS_FOLLOWER and own & wanted and (change.to_best or allowed):
         request = flags | toward | COOPERATIVE | URGENT
         if _is_permitted(net, state, v, request):

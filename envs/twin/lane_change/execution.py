@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.active_lanes import activate
 from izoo.envs.twin.driving.car_following import secure_gap
 from izoo.envs.twin.driving.lane_queues import clear_tail, insert_into_lane, remove_from_lane, set_tail
@@ -20,7 +21,6 @@ from izoo.envs.twin.lane_change.flags import (
     URGENT,
 )
 from izoo.envs.twin.lane_change.neighbours import Neighbours, follower_on_lane, leader_beyond, leader_on_lane
-from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import MAX_TAIL_LANES
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.car_following import brake_gap, desired_speed, follow_speed, secure_gap
 from izoo.envs.twin.driving.lane_queues import last_tail, last_vehicle, rear_position
 from izoo.envs.twin.driving.tolerances import STANDING_MPS
 from izoo.envs.twin.driving.traffic_lights import is_major
 from izoo.envs.twin.junction.leaders import leader_in_conflict
 from izoo.envs.twin.net.conflicts import DIVERGING
-from izoo.envs.twin.runtime.compiled import compiled
 
 _MAX_BRAKING_M = 1000.0
 _MAX_LANES_BEHIND = 32
@@ -35,11 +35,11 @@ class Neighbours(NamedTuple):
 def leader_on_lane(net, traffic, state, v, lane, step_s):  # type: ignore[no-untyped-def]
     """Return the leader of ``v`` on ``lane`` of its edge, or -1, and the gap (m, less the standstill gap)."""
     vehicles = state.vehicles
-    if lane == state.vehicles[v].lane:
-        leader = state.vehicles[v].ahead
+    if lane == vehicles[v].lane:
+        leader = vehicles[v].ahead
     else:
         behind = state.changer[lane].next
-        leader = state.vehicles[behind].ahead if behind >= 0 else state.lanes[lane].back
+        leader = vehicles[behind].ahead if behind >= 0 else state.lanes[lane].back
     front, min_gap = vehicles[v].position, traffic.drivers[v].min_gap
     if leader >= 0:
         return leader, vehicles[leader].position - traffic.drivers[leader].length - front - min_gap

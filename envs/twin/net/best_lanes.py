@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from izoo.envs.twin.driving.traffic_lights import LOWER_CASE, UPPER_CASE, is_major
+from izoo.envs.tables import compiled
+from izoo.envs.twin.driving.traffic_lights import is_major
 from izoo.envs.twin.net.tables import NetTables
-from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import Best
 from izoo.errors import IzooError
 
@@ -87,12 +87,12 @@ class _Choices(dict[tuple[int, int], list[tuple[bool, ...]]]):
     def __missing__(self, edges: tuple[int, int]) -> list[tuple[bool, ...]]:
         links = [self.net.links[link] for link in self.net.links_between(*edges)]
         shown = [
-            [_is_major(self._letter(link, program, phase)) for link in links]
+            [is_major.py_func(self._letter(link, program, phase)) for link in links]
             for program in {link.program for link in links}
             if program >= 0
             for phase in self._phases(program)
         ]
-        found = list(dict.fromkeys(map(_relevant_bits, shown or [[_is_major(link.state) for link in links]])))
+        found = list(dict.fromkeys(map(_relevant_bits, shown or [[is_major.py_func(link.state) for link in links]])))
         self[edges] = found
         return found
 
@@ -102,10 +102,6 @@ class _Choices(dict[tuple[int, int], list[tuple[bool, ...]]]):
 
     def _letter(self, link: Any, program: int, phase: Any) -> int:
         return self.net.phase_letters[phase.state + link.signal] if link.program == program else link.state
-
-
-def _is_major(letter: int) -> bool:
-    return UPPER_CASE <= letter < LOWER_CASE
 
 
 def _relevant_bits(bits: Sequence[bool]) -> tuple[bool, ...]:

@@ -193,7 +193,7 @@ class _Geometry:
         own_link, foe_link = links[entry], links[foe]
         waits = other != self.search.lanes_of[foe][-1]
         yields, foe_yields = foe in responses.get(entry, ()), entry in responses.get(foe, ())
-        sizes = self.width_m[other], self.width_m[lane]
+        sizes = 0.0, 0.0
         kind = self.search.kind(pair)
         if kind == DIVERGING:
             if self._diverged_before(pair):

@@ -12,16 +12,12 @@ import numpy as np
 from izoo.emissions.kernel import KernelWeights
 from izoo.envs.backend import Play, entry_edges, episode_traffic
 from izoo.envs.config import EnvConfig
-from izoo.envs.mdp.columns import NUMBER
 from izoo.envs.mdp.episode import DemandAtHorizon, Episode, Reading
 from izoo.envs.mdp.frame import frame_fields
 from izoo.envs.twin.net.reader import TwinWorld, read_twin_world, twin_traffic
 from izoo.envs.twin.runtime.batch_step import warm_up_all
-from izoo.envs.twin.runtime.compiled import directory
-from izoo.envs.twin.runtime.handles import address_of, parts_at
 from izoo.envs.twin.runtime.layout import ARRIVED, DRIVING, DROPPED, MAX_TAIL_LANES, WAITING, WORKING
-from izoo.envs.twin.runtime.prefetch import NET_AT, PARTS_BYTES, STATE_AT, no_ranges
-from izoo.envs.twin.runtime.region_view import GUESTS, READING, Guests
+from izoo.envs.twin.runtime.prefetch import ADDRESSES, NET_AT, STATE_AT, no_ranges
 from izoo.envs.twin.runtime.scratch import Desk
 from izoo.envs.twin.runtime.simulation import TwinEpisode
 from izoo.errors import IzooError
@@ -63,7 +59,7 @@ def prepare(config: EnvConfig, play: Play, desk: Desk) -> Prepared:
         raise IzooError(f"context {context.name}: {error}") from error
     traffic = episode_traffic(config, context, road, play.seed)
     driving = TwinEpisode(names.net, twin_traffic(traffic, road, names.net), to_ms(config.step_s), desk)
-    addresses = np.zeros((1, PARTS_BYTES + 1), np.int64)
+    addresses = np.zeros((1, ADDRESSES), np.int64)
     addresses[0, NET_AT : STATE_AT + 1] = driving.addresses
     warm_up_all(addresses, config.warmup_steps, driving.step_ms, no_ranges())
     return Prepared(play, road, traffic, names, driving)
@@ -82,7 +78,7 @@ class TwinRun:
     Attributes:
         episode: the MDP's side.
         driving: the twin's side.
-        addresses: ``[7]`` what :mod:`izoo.envs.twin.runtime.batch_step` reaches both by.
+        addresses: ``[4]`` what :mod:`izoo.envs.twin.runtime.batch_step` reaches both by.
     """
 
     def __init__(
@@ -91,41 +87,27 @@ class TwinRun:
         play, road, traffic, names, driving = prepared
         driving.move_to(desk)
         self.config, self.play, self.driving = config, play, driving
-        # A row for every vehicle of the demand: compiled code cannot let tables grow.
-        self.episode = Episode(config, frame, weights, *play, road, traffic, capacity=len(traffic))
-        rows = len(self.episode.tables.flags)
         edges = entry_edges(road, play.context.demand_approaches, config.step_s)
-        self._guests = Guests(
-            row_of=np.full(len(traffic), -1, np.int64),
-            entry_lanes=_lanes_of(edges, names),
-            begun_s=np.zeros(1),
-            **desk.spread(GUESTS, dict.fromkeys(READING, rows)),
-        )
-        self._directory = directory(self._guests, GUESTS)
-        self._early = np.zeros(len(traffic), np.uint8)
-        world = self.episode.world
-        self.addresses = (address_of(world), *driving.addresses, self._directory.ctypes.data, *parts_at(world))
+        self.episode = Episode(config, frame, weights, *play, road, traffic, _lanes_of(edges, names))
+        self.addresses = (self.episode.world_at, *driving.addresses)
         self._enter_all(names, road)
 
     def _enter_all(self, names: TwinWorld, road: RoadNet) -> None:
-        """Enter everybody who is in the region when the warm-up ends, and write the first frame."""
-        state, row_of = self.driving.state, self._guests.row_of
+        """Enter every vehicle that is in the region when the warm-up ends, and write the first frame."""
+        state = self.driving.state
         for lane in _lanes_of(dict.fromkeys(name.rsplit("_", 1)[0] for name in road.lane_ids), names).tolist():
             v = int(state.lanes["back"][lane])
             while v >= 0:
-                row_of[v] = self.episode.admit(v, float(state.vehicles["accel"][v]), counted=False)
+                self.episode.admit(v, float(state.vehicles["accel"][v]), counted=False)
                 v = int(state.vehicles["ahead"][v])
-        self._early[:] = (row_of >= 0) | (state.vehicles["status"] == ARRIVED)
-        self._guests.begun_s[0] = state.clock["now_ms"] / 1000.0
-        self.episode.begin(self._reading(), float(self._guests.begun_s[0]), np.flatnonzero(self._early).tolist())
+        early = (self.episode.tables.demand["row"] >= 0) | (state.vehicles["status"] == ARRIVED)
+        self.episode.begin(self._reading(), float(state.clock["now_ms"]) / 1000.0, np.flatnonzero(early).tolist())
 
     def _reading(self) -> Reading:
         """Return where the members are."""
-        vehicles = self.episode.tables.ints[self.episode.members, NUMBER]
-        driving = self.driving
-        region = driving.net.lanes["region"][driving.lane[vehicles]].astype(np.int64)
-        signals = driving.signals[vehicles].astype(np.int64)
-        return region, driving.position_m[vehicles], driving.speed_mps[vehicles], signals
+        vehicles = self.driving.state.vehicles[self.episode.tables.vehicles["vehicle_number"][self.episode.members]]
+        region = self.driving.net.lanes["region"][vehicles["lane"]].astype(np.int64)
+        return region, vehicles["position"].copy(), vehicles["speed"].copy(), vehicles["signals"].astype(np.int64)
 
     def end_step(self) -> None:
         """Complete the sums at the horizon and at the end; say so where vehicles were not driven as in SUMO."""
@@ -151,22 +133,18 @@ class TwinRun:
         """Say what became of the demand that did not reach the region."""
         state = self.driving.state
         status = state.vehicles["status"]
-        outside = (status == DRIVING) & (self._guests.row_of < 0)
-        masks = (status == DROPPED, status == WAITING, outside, self._early)
+        demand = self.episode.tables.demand
+        outside = (status == DRIVING) & (demand["row"] < 0)
+        masks = (status == DROPPED, status == WAITING, outside, demand["early"])
         gone = (np.flatnonzero(mask).tolist() for mask in masks)
         return DemandAtHorizon(range(int(state.clock["next_departure"])), *gone)
 
     def _changing(self) -> list[np.ndarray]:
         """Return every array that changes in the course of the episode."""
-        episode, guests, frame = self.episode, self._guests, self.episode.frame
-        clock = episode.clock
         return [
             *(array for name, array in self.driving.state._asdict().items() if name not in WORKING),
-            *episode.tables,
-            *episode.demand_state,
-            *(clock.now, clock.time_left_s, clock.until_second_s, clock.until_third_s),
-            *(guests.row_of, guests.begun_s, self._early),
-            *(frame[field.name] for field in frame_fields(self.config)),
+            *self.episode.tables,
+            *(self.episode.frame[field.name] for field in frame_fields(self.config)),
         ]
 
     def pack(self) -> np.ndarray:
@@ -198,7 +176,7 @@ class TwinRun:
         for array in self._changing():
             array[...] = np.frombuffer(whole, array.dtype, array.size, at).reshape(array.shape)
             at += array.nbytes
-        self.episode.resume(float(self._guests.begun_s[0]))
+        self.episode.resume()
 
 
 def _lanes_of(edges: Iterable[str], names: TwinWorld) -> np.ndarray:

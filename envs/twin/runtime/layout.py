@@ -12,7 +12,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from izoo.envs.twin.runtime.compiled import Byte1, Float1, Int1, Int2, Int3, Long1, opener, tables_type
+from izoo.envs.tables import Byte1, Float1, Int1, Int2, Int3, Long1, opener, tables_type
 
 MAX_ROUTE_EDGES = 6
 
@@ -57,10 +57,10 @@ Route = _record("i4 exit_edge first_variant variants")
 """Row of the last edge; its variants are the rows from ``first_variant`` on of :attr:`TwinNet.best`."""
 Conflict = _record("f8 to_end size foe_to_end foe_size radius", "i4 lane entry kind yields foe_yields foe_waits")
 """Of a way through a junction with another: metres from the begin of the conflict to the end of the own way; length of
-the conflict on it; the same on the other way (:data:`~izoo.envs.twin.net.conflicts.NOWHERE` where that way ends before
-the own); radius of the own turn, 0 on straight ways and in sharp right turns, where SUMO does not use it. The other
-way; the link by which vehicles enter it; kind; 1 where the own entry link yields to that link; 1 where that link yields
-to the own; 1 where the other way ends at a waiting point."""
+a crossing on it, else 0; the same on the other way (:data:`~izoo.envs.twin.net.conflicts.NOWHERE` where that way ends
+before the own); radius of the own turn, 0 on straight ways and in sharp right turns, where SUMO does not use it. The
+other way; the link by which vehicles enter it; kind; 1 where the own entry link yields to that link; 1 where that link
+yields to the own; 1 where the other way ends at a waiting point."""
 
 
 class TwinNet(NamedTuple):

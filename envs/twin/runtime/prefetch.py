@@ -9,20 +9,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from izoo.compiling import compiled
-from izoo.envs.mdp.state import MEMBERS
-from izoo.envs.twin.runtime.compiled import LINE_BYTES, WORDS, fetch, fetch_line, place_of
-from izoo.envs.twin.runtime.handles import world_at
+from izoo.envs.mdp import columns
+from izoo.envs.mdp.displacement import ROAD
+from izoo.envs.mdp.reward_kernel import NUM_TERMS
+from izoo.envs.mdp.signals import CLOCK
+from izoo.envs.mdp.state import FRAME, TABLES, WORK, WORLD, open_world
+from izoo.envs.tables import LINE_BYTES, WORDS, compiled, fetch, fetch_line, place_of
 from izoo.envs.twin.runtime.layout import STATE, TRAFFIC, Driver, Vehicle, open_state, open_traffic
-from izoo.envs.twin.runtime.region_view import GUESTS
 
-(WORLD_AT, NET_AT, TRAFFIC_AT, STATE_AT, GUESTS_AT, PARTS_AT, PARTS_BYTES) = range(7)
-"""Columns of the addresses ``[N, 7]`` of environments: world, directories, the world's parts and their size."""
+WORLD_AT, NET_AT, TRAFFIC_AT, STATE_AT = range(4)
+"""Columns of the addresses of directories, ``[N, ADDRESSES]``."""
+ADDRESSES = 4
 _WORD_BYTES = 8
-_STATE_BYTES, _TRAFFIC_BYTES, _GUESTS_BYTES = (
-    len(kind.fields) * WORDS * _WORD_BYTES for kind in (STATE, TRAFFIC, GUESTS)
+_WORLD_BYTES, _STATE_BYTES, _TRAFFIC_BYTES = (
+    sum(len(kind.fields) for kind in kinds) * WORDS * _WORD_BYTES
+    for kinds in ((WORLD, TABLES, WORK, FRAME, ROAD, CLOCK), (STATE,), (TRAFFIC,))
 )
-_VEHICLE_BYTES, _DRIVER_BYTES = Vehicle.itemsize, Driver.itemsize
+_VEHICLE_BYTES, _DRIVER_BYTES, _MEMBER_BYTES = Vehicle.itemsize, Driver.itemsize, columns.Vehicle.itemsize
 _STRAGGLERS = 8
 """For so many vehicles that are where they are expected, one more is asked for."""
 
@@ -39,13 +42,12 @@ def no_ranges() -> np.ndarray:
 
 
 @compiled
-def list_next(addresses, k, like, drives, ranges):  # type: ignore[no-untyped-def]
+def list_next(addresses, k, drives, ranges):  # type: ignore[no-untyped-def]
     """List what the environment after number ``k`` will need, and ask for where that of the one behind it is.
 
     Args:
-        addresses: ``[n, 7]``.
+        addresses: ``[n, ADDRESSES]``.
         k: the environment that is about to be played.
-        like: any of the worlds.
         drives: whether vehicles will be driven.
         ranges: output, for :func:`fetch_some`.
     """
@@ -58,23 +60,16 @@ def list_next(addresses, k, like, drives, ranges):  # type: ignore[no-untyped-de
     if k + 1 < count:
         if drives:
             _list_driving(addresses, k + 1, ranges)
-        _list_world(world_at(addresses[k + 1, WORLD_AT], like), ranges)
+        _list_world(open_world(addresses[k + 1, WORLD_AT]), ranges)
 
 
 @compiled
-def fetch_next(addresses, k, like, drives, ranges):  # type: ignore[no-untyped-def]
-    """Ask at once for all that :func:`list_next` lists."""
-    list_next(addresses, k, like, drives, ranges)
-    fetch_some(ranges, ranges[LINES, 0])
-
-
-@compiled(borrows=True)
 def lines_for_each(ranges, count):  # type: ignore[no-untyped-def]
     """Return how many lines to ask for at a time, to have all of them after ``count`` times."""
     return ranges[LINES, 0] // max(1, count) + 1
 
 
-@compiled(borrows=True)
+@compiled
 def fetch_some(ranges, lines):  # type: ignore[no-untyped-def]
     """Ask for the next ``lines`` of what is listed.
 
@@ -94,7 +89,7 @@ def fetch_some(ranges, lines):  # type: ignore[no-untyped-def]
     ranges[_DONE, 0] = k
 
 
-@compiled(borrows=True)
+@compiled
 def _list(ranges, address, size):  # type: ignore[no-untyped-def]
     k = ranges[_DONE, 1]
     ranges[k, 0], ranges[k, 1] = address, address + size
@@ -102,15 +97,14 @@ def _list(ranges, address, size):  # type: ignore[no-untyped-def]
     ranges[LINES, 0] += (size + LINE_BYTES - 1) // LINE_BYTES
 
 
-@compiled(borrows=True)
+@compiled
 def _fetch_directories(addresses, k):  # type: ignore[no-untyped-def]
-    fetch(addresses[k, PARTS_AT], addresses[k, PARTS_BYTES])
+    fetch(addresses[k, WORLD_AT], _WORLD_BYTES)
     fetch(addresses[k, STATE_AT], _STATE_BYTES)
     fetch(addresses[k, TRAFFIC_AT], _TRAFFIC_BYTES)
-    fetch(addresses[k, GUESTS_AT], _GUESTS_BYTES)
 
 
-@compiled(borrows=True)
+@compiled
 def _list_driving(addresses, k, ranges):  # type: ignore[no-untyped-def]
     """List lanes, signals, and the vehicles on the road: mostly those who departed last."""
     state, traffic = open_state(addresses[k, STATE_AT]), open_traffic(addresses[k, TRAFFIC_AT])
@@ -126,21 +120,23 @@ def _list_driving(addresses, k, ranges):  # type: ignore[no-untyped-def]
         _list(ranges, place + first * row_bytes, count * row_bytes)
 
 
-@compiled(borrows=True)
+@compiled
 def _list_world(world, ranges):  # type: ignore[no-untyped-def]
     """List the tables' rows that are taken, mostly the first ones, and what there is of every agent slot."""
     tables, frame = world.tables, world.frame
-    rows = tables.cursor[MEMBERS] + tables.cursor[MEMBERS] // _STRAGGLERS
-    rows = min(rows, tables.flags.shape[0])
-    for table in (tables.floats, tables.terms):
-        _list(ranges, place_of(table), rows * table.strides[0])
-    _list(ranges, place_of(tables.ints), rows * tables.ints.strides[0])
-    _list(ranges, place_of(tables.flags), rows * tables.flags.strides[0])
-    for numbers in (tables.members, tables.order):
-        _list(ranges, place_of(numbers), rows * _WORD_BYTES)
-    for numbers in (tables.agent_row, tables.acting, tables.lane_start, frame.agent_vehicle):
-        _list(ranges, place_of(numbers), numbers.size * _WORD_BYTES)
-    _list(ranges, place_of(frame.action), frame.action.size * _WORD_BYTES // 2)
-    _list(ranges, place_of(frame.reward), frame.reward.size * _WORD_BYTES // 2)
-    for marks in (frame.defer, frame.mask, frame.agent_terminated, frame.agent_done):
-        _list(ranges, place_of(marks), marks.size)
+    rows = min(tables.cursor.members + tables.cursor.members // _STRAGGLERS, tables.vehicles.shape[0])
+    _list(ranges, place_of(tables.vehicles), rows * _MEMBER_BYTES)
+    _list(ranges, place_of(tables.terms), rows * NUM_TERMS * _WORD_BYTES)
+    _list(ranges, place_of(tables.members), rows * _WORD_BYTES)
+    _list(ranges, place_of(tables.order), rows * _WORD_BYTES)
+    _list(ranges, place_of(tables.lane_start), tables.lane_start.shape[0] * _WORD_BYTES)
+    slots = tables.agent_row.shape[0]
+    _list(ranges, place_of(tables.agent_row), slots * _WORD_BYTES)
+    _list(ranges, place_of(tables.acting), slots * _WORD_BYTES)
+    _list(ranges, place_of(frame.agent_vehicle), slots * _WORD_BYTES)
+    _list(ranges, place_of(frame.action), slots * frame.action.shape[1] * _WORD_BYTES // 2)
+    _list(ranges, place_of(frame.reward), slots * _WORD_BYTES // 2)
+    _list(ranges, place_of(frame.defer), slots)
+    _list(ranges, place_of(frame.mask), slots)
+    _list(ranges, place_of(frame.agent_terminated), slots)
+    _list(ranges, place_of(frame.agent_done), slots)

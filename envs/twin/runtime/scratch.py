@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from izoo.envs.twin.runtime.compiled import LINE_BYTES, TablesType
+from izoo.envs.tables import LINE_BYTES, TablesType
 
 Shapes = Mapping[str, int | tuple[int, ...]]
 

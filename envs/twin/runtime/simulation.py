@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
+from izoo.envs.tables import directory
 from izoo.envs.twin.driving.step import new_state, step
-from izoo.envs.twin.runtime.compiled import directory
 from izoo.envs.twin.runtime.layout import NET, STATE, TRAFFIC, WORKING, TwinNet, TwinState, TwinTraffic
 from izoo.envs.twin.runtime.prefetch import no_ranges
 from izoo.envs.twin.runtime.scratch import Desk, zeros
@@ -18,7 +16,7 @@ class TwinEpisode:
 
     Attributes:
         net, traffic, state: the arrays; values may be changed, arrays never replaced.
-        addresses: where compiled code finds them (:mod:`izoo.envs.twin.runtime.compiled`), in this order.
+        addresses: where compiled code finds them (:mod:`izoo.envs.tables`), in this order.
 
     Args:
         step_ms: length of a step, 50 to 1000.
@@ -62,36 +60,3 @@ class TwinEpisode:
     def step(self) -> None:
         """Advance by one step."""
         step(*self.addresses, self.step_ms, no_ranges())
-
-    def command(self, vehicles: np.ndarray, speeds_mps: np.ndarray) -> None:
-        """Command speeds until further notice; NaN gives control back."""
-        self.state.vehicles["command"][vehicles] = speeds_mps
-
-    def limit(self, vehicles: np.ndarray, speeds_mps: np.ndarray) -> None:
-        """Set the maximum speed of vehicles."""
-        self.state.vehicles["top_speed"][vehicles] = speeds_mps
-
-    @property
-    def status(self) -> np.ndarray:
-        """``[N]`` int32, one of :data:`~izoo.envs.twin.runtime.layout.NOT_YET` and those that follow it."""
-        return self.state.vehicles["status"]
-
-    @property
-    def lane(self) -> np.ndarray:
-        """``[N]`` int32, row of the net's lanes."""
-        return self.state.vehicles["lane"]
-
-    @property
-    def position_m(self) -> np.ndarray:
-        """``[N]`` float64, front bumper on its lane."""
-        return self.state.vehicles["position"]
-
-    @property
-    def speed_mps(self) -> np.ndarray:
-        """``[N]`` float64."""
-        return self.state.vehicles["speed"]
-
-    @property
-    def signals(self) -> np.ndarray:
-        """``[N]`` int32, SUMO's signal bits: 1 right, 2 left blinker."""
-        return self.state.vehicles["signals"]

@@ -16,8 +16,7 @@ from typing import Any
 from izoo.contexts.spec import Approach, IntersectionSpec, Leg, SignalPlan
 from izoo.errors import IzooError
 from izoo.networks.net.connections import Link, signal_links
-from izoo.networks.net.ghosts import ghost_program
-from izoo.networks.net.programs import main_phases
+from izoo.networks.net.programs import ghost_program, main_phases
 
 LANE_WIDTH_M = 3.2
 JOINT_M = 8.0

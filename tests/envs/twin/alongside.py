@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from izoo.benchmarks.fidelity.single_vehicle import Case, Trace
+from izoo.envs.tables import compiled
 from izoo.envs.twin.driving.lane_queues import insert_into_lane, remove_from_lane, set_tail
 from izoo.envs.twin.lane_change.cooperation import clear_memories
 from izoo.envs.twin.lane_change.downstream_occupancy import remember_downstream_occupancy
 from izoo.envs.twin.net.best_lanes import find_variant
 from izoo.envs.twin.net.reader import twin_traffic
-from izoo.envs.twin.runtime.compiled import compiled
 from izoo.envs.twin.runtime.layout import (
     ARRIVED,
     DRIVING,
@@ -65,11 +65,11 @@ def differences(case: Case, sumo: Trace) -> Iterator[Difference]:
         variants = episode.state.vehicles["variant"].copy()
         episode.step()
         found = []
-        for v in np.flatnonzero((sumo.lane[t] >= 0) | (episode.status == DRIVING)).tolist():
+        for v in np.flatnonzero((sumo.lane[t] >= 0) | (episode.state.vehicles["status"] == DRIVING)).tolist():
             theirs = Place(int(sumo.lane[t, v]), float(sumo.position_m[t, v]), float(sumo.speed_mps[t, v]))
             ours = Place(-1, np.nan, np.nan)
-            if episode.status[v] == DRIVING:
-                ours = Place(int(episode.lane[v]), float(episode.position_m[v]), float(episode.speed_mps[v]))
+            if episode.state.vehicles["status"][v] == DRIVING:
+                ours = Place(*episode.state.vehicles[["lane", "position", "speed"]][v].item())
             if theirs.lane >= 0:
                 if not passed[v] or edges[passed[v][-1]] != edges[theirs.lane]:
                     passed[v].append(theirs.lane)
@@ -98,7 +98,7 @@ def _correct(episode: TwinEpisode, difference: Difference, passed: list[int], su
         status = ARRIVED if passed else WAITING if later else DROPPED
         _remove(*episode.addresses, v, status)
         return
-    if episode.status[v] == WAITING:
+    if episode.state.vehicles["status"][v] == WAITING:
         _leave_queue(*episode.addresses[1:], v)
     state = episode.state
     tails = int(state.vehicles["tail_lanes"][v]) if theirs.lane == ours.lane else -1

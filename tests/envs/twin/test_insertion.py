@@ -33,7 +33,7 @@ def test_the_same_vehicles_are_dropped_as_in_sumo(lanes: int, capfd: pytest.Capt
     episode = TwinEpisode(net, twin_traffic(case.traffic, read_road(Path(case.net_path)), net))
     for _ in range(STEPS):
         episode.step()
-    ours = set(np.flatnonzero(episode.status == DROPPED).tolist())
+    ours = set(np.flatnonzero(episode.state.vehicles["status"] == DROPPED).tolist())
     assert len(theirs) > 3
     assert ours == theirs
 

@@ -39,16 +39,20 @@ from izoo.compiling import intrinsic
 from izoo.errors import IzooError
 
 compiled = functools.partial(compiling.compiled, nogil=True, error_model="numpy", _nrt=False)
-"""Decorator of every compiled function of the twin. Such a function cannot allocate."""
+"""Decorator of every compiled function of the MDP and of the twin. Such a function cannot allocate."""
 
 Float1 = Annotated[np.ndarray, "float64", 1]
+Float2 = Annotated[np.ndarray, "float64", 2]
+Single1 = Annotated[np.ndarray, "float32", 1]
+Single2 = Annotated[np.ndarray, "float32", 2]
 Int1 = Annotated[np.ndarray, "int32", 1]
 Int2 = Annotated[np.ndarray, "int32", 2]
 Int3 = Annotated[np.ndarray, "int32", 3]
 Long1 = Annotated[np.ndarray, "int64", 1]
 Byte1 = Annotated[np.ndarray, "uint8", 1]
 """Fields of a directory: type of the elements, and dimensions. A fourth entry is the number of columns, if it is a
-constant; ``Annotated[np.ndarray, "float64", 2, 8]`` has eight."""
+constant; ``Annotated[np.ndarray, "float64", 2, 8]`` has eight. A field may also be a directory itself:
+``Annotated[Any, KIND]`` with its :class:`TablesType`."""
 
 WORDS = 4
 """Words of a directory per array: address, then the length of up to three dimensions."""
@@ -103,9 +107,11 @@ class TablesType(types.Type):
         """Return the type of the elements of the table ``name``."""
         return np.dtype(next(dtype for field, dtype, *_ in self.fields if field == name))
 
-    def table_type(self, name: str) -> TableType | RecordType | None:
+    def table_type(self, name: str) -> TablesType | TableType | RecordType | None:
         """Return the type of the table ``name``; those of three dimensions are not for compiled code."""
         for field, dtype, dimensions, columns in self.fields:
+            if field == name and isinstance(dtype, TablesType):
+                return dtype
             if field == name and dimensions == 0:
                 return RecordType(self.owner, field, dtype, self.constant)
             if field == name and dimensions < 3:
@@ -121,19 +127,25 @@ def tables_type(owner: type, constant: bool = False) -> TablesType:
     """
     fields = []
     for name, hint in get_type_hints(owner, include_extras=True).items():
-        dtype, dimensions, *columns = hint.__metadata__
-        fields.append((name, dtype, dimensions, *(columns or [0])))
+        dtype, dimensions, columns = (*hint.__metadata__, 0, 0)[:3]
+        fields.append((name, dtype, dimensions, columns))
     return TablesType(owner.__name__, tuple(fields), constant)
 
 
 def directory(tables: Any, kind: TablesType) -> np.ndarray:
-    """Return the directory ``[fields * WORDS]`` int64 of a NamedTuple of arrays, for as long as these live.
+    """Return the directory, ``[fields * WORDS]`` int64 and more, of a NamedTuple of arrays, for as long as these live.
 
     Raises:
         IzooError: an array has another type or shape than ``kind`` says, or is not contiguous.
     """
-    words = np.zeros((len(kind.fields), WORDS), np.int64)
-    for row, (name, dtype, dimensions, columns) in zip(words, kind.fields, strict=True):
+    inner = {name: directory(getattr(tables, name), dtype) for name, dtype, *_ in kind.fields if _is_inner(dtype)}
+    own = len(kind.fields) * WORDS
+    words = np.concatenate([np.zeros(own, np.int64), *inner.values()])
+    end = words.ctypes.data + own * words.itemsize
+    for row, (name, dtype, dimensions, columns) in zip(words[:own].reshape(-1, WORDS), kind.fields, strict=True):
+        if _is_inner(dtype):
+            row[0], end = end, end + inner[name].nbytes
+            continue
         array = getattr(tables, name)
         wide = columns == 0 or array.shape[-1] == columns
         if array.dtype != np.dtype(dtype) or array.ndim != dimensions or not wide or not array.flags.c_contiguous:
@@ -143,7 +155,11 @@ def directory(tables: Any, kind: TablesType) -> np.ndarray:
             )
         row[0] = array.ctypes.data
         row[1 : 1 + dimensions] = array.shape
-    return words.ravel()
+    return words
+
+
+def _is_inner(dtype: Any) -> bool:
+    return isinstance(dtype, TablesType)
 
 
 @register_model(TablesType)
@@ -170,7 +186,7 @@ class _TableModel(models.StructModel):  # type: ignore[misc]
 class _TablesAttribute(AttributeTemplate):  # type: ignore[misc]
     key = TablesType
 
-    def generic_resolve(self, kind: TablesType, name: str) -> TableType | RecordType | None:  # type: ignore[override]
+    def generic_resolve(self, kind: TablesType, name: str) -> types.Type | None:  # type: ignore[override]
         return kind.table_type(name)
 
 
@@ -203,6 +219,8 @@ def _read_table(context: Any, builder: Any, kind: TablesType, value: Any, name: 
 
     if isinstance(table_type, RecordType):
         return builder.inttoptr(word(0), ir.IntType(8).as_pointer())
+    if isinstance(table_type, TablesType):
+        return builder.inttoptr(word(0), _WORD.as_pointer())
     table = cgutils.create_struct_proxy(table_type)(context, builder)
     table.data = builder.inttoptr(word(0), table.data.type)
     table.rows = word(1)
@@ -339,9 +357,9 @@ def fetch_line(typing_context, address):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def place_of(typing_context, table):  # type: ignore[no-untyped-def]
-    """Return the address of the first element of a table or an array."""
-    if not isinstance(table, TableType | RecordType | types.Array):
-        raise errors.NumbaTypeError("only tables and arrays have a place")
+    """Return the address of the first element of a table."""
+    if not isinstance(table, TableType | RecordType):
+        raise errors.NumbaTypeError("only tables have a place")
 
     def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         place = args[0]
