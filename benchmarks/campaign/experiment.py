@@ -35,7 +35,7 @@ class Entry:
         train: options of ``izoo.train``; the task says all others. An entry that has some is trained.
         start: the entry whose run of the same training seed each run begins with (``start=`` of ``izoo.train``).
         policy: without training: a driver's name, ``zoo:NAME``, ``FILE.pt`` or ``module:function``.
-        glide: of ``policy: glide``, settings that differ (:class:`izoo.algos.drivers.scripted.GlideConfig`).
+        glide: of ``policy: glide``, settings that differ (:class:`izoo.algos.drivers.glide.GlideConfig`).
         planner: the planner's settings (:class:`izoo.benchmarks.planner.PlannerConfig`), which drives on the twin.
         select: which weights of a run are tested: the ``last``, or the ``best`` on the validation split.
         contexts: no more test contexts than these; ``None``: those of the part.

@@ -78,7 +78,8 @@ class OptionCommand:
             return list(words)
         words = [word if "=" in word else f"{self.place}={quoted(word)}" for word in words]
         if sum(word.startswith(f"{self.place}=") for word in words) != 1:
-            raise IzooError(f"give one folder: python -m izoo.{self.name} {self.place.upper()}.")
+            given, folder = f"python -m izoo.{self.name}", self.place.upper()
+            raise IzooError(f"give one folder: {given} {folder}, or {self.place}={folder} if its path holds an =.")
         return words
 
     @usable_paths()

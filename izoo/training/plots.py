@@ -126,8 +126,7 @@ def curves(
 
     Training batches are noisy: lines are running means over a fifth of a run's batches, at most 20. Of several runs of
     one choice thin lines are the runs, the thick one their mean, and a band reaches from the lowest to the highest, as
-    far as all of them have come. A single run's validations have their intervals. The steps of
-    imitation are shaded.
+    far as all of them have come. A single run's validations have their intervals. The steps of imitation are shaded.
 
     Args:
         runs: metrics and, where there are any, validations of the runs of each choice.

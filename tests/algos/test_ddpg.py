@@ -1,4 +1,4 @@
-"""DDPG: transitions, targets and losses against hand computations, and indifference to padding and slot order."""
+"""DDPG: transitions, targets and losses against hand computations, and exploration."""
 
 from __future__ import annotations
 

@@ -63,6 +63,12 @@ def test_marginals_are_met(city):
     assert max(value for name, value in distances.items() if name != "signal_time_ratio") <= 0.01
 
 
+def test_the_distance_sees_a_difference():
+    table = feature_table(cities.get("salt_lake_city"))
+    distances = total_variation(table.assign(grade=table["grade"] + 0.01), "salt_lake_city")
+    assert distances["grade"] > 0.2 and distances["lane_count"] < 0.01
+
+
 def test_salt_lake_city_has_the_published_shape():
     specs = list(cities.get("salt_lake_city"))
     legs = np.bincount([len(spec.legs) for spec in specs], minlength=7)

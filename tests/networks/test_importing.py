@@ -75,6 +75,9 @@ def test_zip_and_folder_give_the_same_import(tmp_path: Path, source: Path) -> No
     assert zipped.unusable == plain.unusable
     assert [spec.name for spec in zipped.usable] == [spec.name for spec in plain.usable]
     assert tree(tmp_path / "one") == tree(tmp_path / "two")
+    windows = pack(tmp_path / "windows.zip", {name.replace("/", "\\"): content for name, content in members.items()})
+    import_dataset(windows, tmp_path / "three")
+    assert tree(tmp_path / "three") == tree(tmp_path / "two")
 
 
 def test_a_single_intersection_and_an_archive_without_a_top_folder(tmp_path: Path, source: Path) -> None:

@@ -240,7 +240,8 @@ def open_archive(source: Path) -> Iterator[Archive]:
         except Exception as error:  # zipfile's errors about damaged directories have no common base, either
             raise IzooError(f"{source} is neither a folder nor a readable zip archive ({error}).") from error
         with file:
-            members = {PurePosixPath(info.filename): info for info in file.infolist()}
+            # Some programs on Windows write backslashes.
+            members = {PurePosixPath(info.filename.replace("\\", "/")): info for info in file.infolist()}
             files = {name: functools.partial(_unpacked, file, info) for name, info in members.items()}
             folders = {parent for name in members for parent in name.parents}
             empty = [name for name, info in members.items() if info.is_dir()]
