@@ -86,7 +86,7 @@ def plan(config: SpeedConfig) -> Iterator[tuple[str, Callable[[], list[Row]]]]:
     threads = config.threads or tuple(dict.fromkeys((1, usable_cores())))
     most, last = max(threads), config.envs[-1]
     has_sumo = importlib.util.find_spec("libsumo") is not None
-    if "start" in config.rows and has_sumo:
+    if "start" in config.rows and importlib.util.find_spec("sumo"):
         # First, as memory that others have held would count as free.
         yield "start", lambda: [rows.start(config.starting, min(most, config.starting), surrogate)]
     if "sumo" in config.rows and has_sumo:
@@ -97,7 +97,8 @@ def plan(config: SpeedConfig) -> Iterator[tuple[str, Callable[[], list[Row]]]]:
             yield f"{config.workers} workers, {name}", lambda measure=measure: [measure()]  # type: ignore[misc]
     if "twin" in config.rows:
         for envs in config.envs:
-            for count in (count for count in threads if count <= envs):
+            # Thousands of environments take a minute to begin, so they are not measured with fewer threads.
+            for count in (count for count in threads if count <= envs and (envs <= last or count == most)):
                 yield (
                     f"twin {envs} x {count}",
                     functools.partial(rows.on_twin, context, seconds, envs, count, surrogate),
@@ -162,7 +163,7 @@ def run(config: SpeedConfig) -> list[Row]:
     config = whole_machine(config) if config.machine else config
     todo = list(plan(config))
     if {"sumo", "start"} & set(config.rows) and not importlib.util.find_spec("libsumo"):
-        print("SUMO is not installed: its rows and the start are left out.", flush=True)
+        print("SUMO is not installed: rows that need it are left out.", flush=True)
     found: list[Row] = []
     with Progress(len(todo), unit="rows", file=sys.stderr) as bar:
         for number, (name, measure) in enumerate(todo):

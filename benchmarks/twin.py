@@ -24,9 +24,9 @@ from typing import TYPE_CHECKING, Any, Literal
 from izoo.cli.option_command import GOES_ON, OptionCommand
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
-from izoo.conf.evaluate_options import check_episodes, check_policy
+from izoo.conf.evaluate_options import EPISODE_RANGES, check_policy
 from izoo.envs.config import EnvConfig
-from izoo.errors import IzooError, check_choice, check_range, check_types
+from izoo.errors import CheckedOptions, IzooError, check_choice, check_range
 from izoo.files import make_absolute
 from izoo.metrics.pairing import HUMAN
 from izoo.zoo import catalog
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class FidelityConfig:
+class FidelityConfig(CheckedOptions):
     """Options of the comparison of the twin with SUMO.
 
     Attributes:
@@ -76,13 +76,12 @@ class FidelityConfig:
     out: str = "twin-fidelity"
     cache: str | None = None
     verbose: bool = False
+    ranges = (*EPISODE_RANGES, ("late", 0, 1000))
 
     def __post_init__(self) -> None:
-        check_types("", self)
-        check_episodes(self)
+        super().__post_init__()
         for adoption in self.adoptions:
             check_range("adoptions", adoption, 0.0, 1.0)
-        check_range("late", self.late, 0, 1000)
         if self.late and self.env.late_vehicle:
             raise IzooError("late=0 or env.late_vehicle=0: the comparison sets env.late_vehicle itself.")
         for demand in self.demand:
@@ -102,7 +101,7 @@ def run(config: FidelityConfig) -> Path:
     """Compare, or go on comparing; print the tables, and return the folder of the results."""
     import pandas as pd
 
-    from izoo.benchmarks.fidelity import few_vehicles, trajectory_diff, twin_fidelity
+    from izoo.benchmarks.fidelity import single_vehicle, trajectory_diff, twin_fidelity
     from izoo.console import counted
     from izoo.envs.twin.backend import check_settings
     from izoo.envs.twin.net.supported import check_contexts
@@ -128,9 +127,9 @@ def run(config: FidelityConfig) -> Path:
     sumo, played = (both[both["simulator"] == name] for name in ("sumo", "twin"))
     few_file, steps_file = (
         RowsFile(out / name, (*of.TEXT, *of.NUMBERS), of.TEXT, ("seed",)).read()
-        for name, of in (("few.csv", few_vehicles), ("steps.csv", trajectory_diff))
+        for name, of in (("few.csv", single_vehicle), ("steps.csv", trajectory_diff))
     )
-    few = few_vehicles.compare_few(base, seeds, config.env.step_s, few_file)
+    few = single_vehicle.compare_few(base, seeds, config.env.step_s, few_file)
     exact = pd.DataFrame(trajectory_diff.compare_steps(contexts, seeds, config.env, exact_of, steps_file))
     own = twin_fidelity.own_spread(sumo, late)
     compared = twin_fidelity.with_spread(twin_fidelity.approaches(sumo, played), own)

@@ -156,25 +156,23 @@ class BatchBuffer:
         self._acted_on_held = np.zeros((steps + 1, layout.num_envs, len(ROW_KINDS)), np.int64)
         self._led_to_held = np.zeros((steps, layout.num_envs, len(ROW_KINDS)), np.int64)
         self._at, self._stepping = 0, False
+        self._written: list[tuple[Memories, np.ndarray]] = []
 
     def begin(self, stepping: bool) -> None:
         """Begin a step, the first one of the next batch behind the last of this one; or another look at the frames."""
         self._stepping = stepping
         if stepping and self._at == self.steps:
-            self._at = 0
-            self._write_state(slice(0, self.layout.num_envs))
+            self._at, self._written = 0, [_entry(self._acted_on, self._acted_on_held, 0)]
+            self.take(slice(0, self.layout.num_envs))
         self._at += stepping
+        self._written = [_entry(self._acted_on, self._acted_on_held, self._at)]
+        if stepping:
+            self._written.append(_entry(self._led_to, self._led_to_held, self._at - 1))
 
     def take(self, rows: slice) -> None:
         """Write the frames of some environments to where they belong in the batch."""
-        if self._stepping:
-            at = self._at - 1
-            self.layout.copy_held(tuple(memory[at] for memory in self._led_to), self._led_to_held[at], rows)
-        self._write_state(rows)
-
-    def _write_state(self, rows: slice) -> None:
-        at = self._at
-        self.layout.copy_held(tuple(memory[at] for memory in self._acted_on), self._acted_on_held[at], rows)
+        for memories, held in self._written:
+            self.layout.copy_held(memories, held, rows)
 
     def tensors(self) -> tuple[Tensors, Tensors]:
         """Return what the step led to, and what to act on next; valid until the batch after this one."""
@@ -193,6 +191,10 @@ class BatchBuffer:
 
     def _tensors(self, memories: Sequence[np.ndarray]) -> Tensors:
         return _as_tensors(self.layout.names, (self.layout.array(k, memory) for k, memory in enumerate(memories)))
+
+
+def _entry(memories: Sequence[np.ndarray], held: np.ndarray, at: int) -> tuple[Memories, np.ndarray]:
+    return tuple(memory[at] for memory in memories), held[at]
 
 
 def _as_tensors(names: Iterable[str], arrays: Iterable[np.ndarray]) -> Tensors:

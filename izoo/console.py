@@ -92,7 +92,7 @@ def _terminable() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def unheard() -> Iterator[None]:
+def survives_lost_output() -> Iterator[None]:
     """Let work that leaves files continue where its output cannot be written any more."""
     before, _Guarded.work_goes_on = _Guarded.work_goes_on, True
     try:

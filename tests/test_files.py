@@ -6,15 +6,11 @@ import gzip
 import os
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
 
 import pytest
-import torch
 
 from izoo.files import (
-    DamagedError,
-    check_parts,
     claimed,
     claimed_empty,
     discard_partials,
@@ -108,20 +104,6 @@ def test_what_unpacks_to_more_than_its_bound_is_refused() -> None:
     assert unpacked(gzip.compress(bytes(10)), 10) == bytes(10)
     with pytest.raises(OSError, match="more than 10 bytes"):
         unpacked(gzip.compress(bytes(11)), 10)
-
-
-def test_parts_that_torch_would_not_have_compressed_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "weights.pt"
-    torch.save({"x": torch.zeros(4)}, path)
-    check_parts(path)
-    with zipfile.ZipFile(path) as archive:
-        parts = {name: archive.read(name) for name in archive.namelist()}
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in parts.items():
-            archive.writestr(name, content)
-    assert torch.load(path, weights_only=True)["x"].shape == (4,), "torch itself takes it"
-    with pytest.raises(DamagedError, match="is not what was written"):
-        check_parts(path)
 
 
 def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from izoo.envs.config import (
     SPEED,
     EnvConfig,
 )
-from izoo.errors import check_range, check_types
+from izoo.errors import CheckedOptions, check_range
 
 if TYPE_CHECKING:
     from izoo.algos.actions.executed_actions import ExecutedAcceleration
@@ -32,7 +32,7 @@ SPREADS = (0.02, 10.0)
 
 
 @dataclass(frozen=True)
-class PointMass:
+class PointMass(CheckedOptions):
     """Zero action is a no-op; this is the initial probability of acting.
 
     Attributes:
@@ -45,11 +45,8 @@ class PointMass:
     act_share: float = 0.08
     spread: float = 0.35
     two_sided: bool = False
-
-    def __post_init__(self) -> None:
-        check_types("action", self)
-        check_range("action.act_share", self.act_share, 1e-6, 0.5)
-        check_range("action.spread", self.spread, *SPREADS)
+    group = "action"
+    ranges = (("act_share", 1e-6, 0.5), ("spread", *SPREADS))
 
     @property
     def half_band(self) -> float:
@@ -87,7 +84,7 @@ class ActionSpace:
         return (self.high - self.low) / 2
 
 
-class ActionMode:
+class ActionMode(CheckedOptions):
     """What options of a run ask of a choice of ``action=``.
 
     Attributes:
@@ -96,6 +93,7 @@ class ActionMode:
         every_step: whether its policy has to decide in every step.
     """
 
+    group = "action"
     sets: ClassVar[Mapping[str, Any]] = {}
     commands: ClassVar[Mapping[str, Any]] = {}
     every_step: ClassVar[bool] = False
@@ -115,11 +113,7 @@ class DirectAction(ActionMode):
     low_mps2: float = ACTION_LOW_MPS2
     high_mps2: float = ACTION_HIGH_MPS2
     sets = BY_STEP
-
-    def __post_init__(self) -> None:
-        check_types("action", self)
-        check_range("action.low_mps2", self.low_mps2, -100.0, -0.01, "m/s^2")
-        check_range("action.high_mps2", self.high_mps2, 0.01, 100.0, "m/s^2")
+    ranges = (("low_mps2", -100.0, -0.01, "m/s^2"), ("high_mps2", 0.01, 100.0, "m/s^2"))
 
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
         """Return the algorithm that ``build`` makes."""
@@ -150,17 +144,16 @@ class SpeedAction(ActionMode):
     slowest: float = 0.2
     initial: float = 0.85
     spread: float = 0.6
+    ranges = (("slowest", MIN_SHARE, 0.9), ("spread", *SPREADS))
 
     def __post_init__(self) -> None:
-        check_types("action", self)
-        check_range("action.slowest", self.slowest, MIN_SHARE, 0.9)
+        super().__post_init__()
         check_range("action.initial", self.initial, self.slowest + 0.01, 0.99)
-        check_range("action.spread", self.spread, *SPREADS)
 
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
         """Return the algorithm that ``build`` makes."""
-        begun = _begun(config, self.initial, self.spread)
-        return build(begun, features, ActionSpace(self.slowest, 1.0, size=env.action_size))
+        config = _with_initial(config, self.initial, self.spread)
+        return build(config, features, ActionSpace(self.slowest, 1.0, size=env.action_size))
 
 
 @dataclass(frozen=True)
@@ -182,22 +175,17 @@ class ArriveAction(ActionMode):
     slowest: float = 0.2
     initial: float = 0.25
     spread: float = 0.6
-
-    def __post_init__(self) -> None:
-        check_types("action", self)
-        check_range("action.slowest", self.slowest, MIN_SHARE, 0.9)
-        check_range("action.initial", self.initial, 0.01, 0.99)
-        check_range("action.spread", self.spread, *SPREADS)
+    ranges = (("slowest", MIN_SHARE, 0.9), ("initial", 0.01, 0.99), ("spread", *SPREADS))
 
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
         """Return the algorithm that ``build`` makes."""
         from izoo.algos.actions.arrival import Arrival, Arriving
 
-        learned = build(_begun(config, self.initial, self.spread), features, ActionSpace(0.0, 1.0, size=2))
+        learned = build(_with_initial(config, self.initial, self.spread), features, ActionSpace(0.0, 1.0, size=2))
         return Arriving(learned, Arrival(env, self.slowest))
 
 
-def _begun(config: Any, initial: float, spread: float) -> Any:
+def _with_initial(config: Any, initial: float, spread: float) -> Any:
     """Return an algorithm's options with the median and the spread of its untrained policy."""
     values = {"initial_accel_mps2": initial, "initial_spread": spread}
     return dataclasses.replace(config, **{name: value for name, value in values.items() if hasattr(config, name)})
@@ -224,12 +212,7 @@ class AdviseAction(ActionMode):
     brake_mps2: float = 1.5
     act_share: float = 0.06
     spread: float = 0.35
-
-    def __post_init__(self) -> None:
-        check_types("action", self)
-        check_range("action.depth", self.depth, 0.01, 1.0)
-        check_range("action.brake_mps2", self.brake_mps2, 0.1, -ACTION_LOW_MPS2, "m/s^2")
-        _ = self.point_mass
+    ranges = (("depth", 0.01, 1.0), ("brake_mps2", 0.1, -ACTION_LOW_MPS2, "m/s^2"), *PointMass.ranges)
 
     @property
     def point_mass(self) -> PointMass:
@@ -270,11 +253,10 @@ class ResidualAction(ActionMode):
     half_width_mps2: float = 1.0
     act_share: float = 0.08
     spread: float = 0.35
-
-    def __post_init__(self) -> None:
-        check_types("action", self)
-        check_range("action.half_width_mps2", self.half_width_mps2, 0.01, ACTION_HIGH_MPS2 - ACTION_LOW_MPS2, "m/s^2")
-        _ = self.point_mass
+    ranges = (
+        ("half_width_mps2", 0.01, ACTION_HIGH_MPS2 - ACTION_LOW_MPS2, "m/s^2"),
+        *PointMass.ranges,
+    )
 
     @property
     def point_mass(self) -> PointMass:

@@ -13,11 +13,11 @@ from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_LOW_MPS2, EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M, SPEED_SCALE_MPS, TIME_SCALE_S
-from izoo.errors import IzooError, check_range, check_types
+from izoo.errors import CheckedOptions, IzooError
 
 
 @dataclass(frozen=True)
-class GlideConfig:
+class GlideConfig(CheckedOptions):
     """Settings of :class:`Glide`; tuned by hand on measured training intersections.
 
     Attributes:
@@ -63,15 +63,14 @@ class GlideConfig:
     brake_mps2: float = 1.0
     push_mps2: float = 1.0
 
-    def __post_init__(self) -> None:
-        check_types("glide", self)
-        for name in ("headway_s", "spacing_m", "response_s", "floor_mps"):
-            check_range(f"glide.{name}", getattr(self, name), 0.1, 1000.0)
-        check_range("glide.max_lanes", self.max_lanes, 0, 100)
-        check_range("glide.min_green_share", self.min_green_share, 0.0, 1.0)
-        check_range("glide.stop_decel_mps2", self.stop_decel_mps2, 0.0, -ACTION_LOW_MPS2, "m/s^2")
-        check_range("glide.stop_margin", self.stop_margin, 0.1, 10.0)
-        check_range("glide.moving_fill", self.moving_fill, 0.0, 1.0)
+    group = "glide"
+    ranges = (
+        ("headway_s spacing_m response_s floor_mps", 0.1, 1000.0),
+        ("max_lanes", 0, 100),
+        ("min_green_share moving_fill", 0.0, 1.0),
+        ("stop_decel_mps2", 0.0, -ACTION_LOW_MPS2, "m/s^2"),
+        ("stop_margin", 0.1, 10.0),
+    )
 
 
 class Glide(ScriptedDriver):

@@ -29,7 +29,7 @@ from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.envs import COMPILED
 from izoo.envs.config import BY_STEP
 from izoo.envs.mdp.reward import RewardConfig
-from izoo.errors import IzooError, check_range, check_types
+from izoo.errors import IzooError
 
 MOST = 2.0
 """Observations are cut off here: some count far away as very large."""
@@ -76,12 +76,7 @@ class CMAESConfig(AlgoConfig):
         }
     }
 
-    def __post_init__(self) -> None:
-        check_types("algo", self)
-        check_range("algo.population", self.population, 4, 4096)
-        check_range("algo.initial_spread", self.initial_spread, 1e-6, 100.0)
-        if self.most_difference is not None:
-            check_range("algo.most_difference", self.most_difference, 1e-6, 100.0)
+    ranges = (("population", 4, 4096), ("initial_spread most_difference", 1e-6, 100.0))
 
     @classmethod
     def teams(cls) -> CMAESConfig:
@@ -131,7 +126,7 @@ class LinearPolicies(TensorDictModuleBase):
             IzooError: while exploring, the environments cannot be shared out evenly.
         """
         seen, mask = tensordict.get(base.OBSERVATION).clamp(-MOST, MOST), tensordict.get(base.MASK)
-        weights = own_numbers(self, mask)
+        weights = acting_parameters(self, mask)
         raw = torch.matmul(seen, weights[:, :-1, None]).squeeze(-1) + weights[:, -1:]
         raw = raw.view(mask.shape)
         raw = raw + FULL if self.band is None else raw.sign() * (raw.abs() - self.band).clamp_min(0.0)
@@ -143,7 +138,7 @@ class LinearPolicies(TensorDictModuleBase):
         return torch.zeros(batch.shape[0], dtype=torch.int64)
 
 
-def own_numbers(policies: Any, mask: Tensor) -> Tensor:
+def acting_parameters(policies: Any, mask: Tensor) -> Tensor:
     """Return the parameters that act in each environment, ``[N, ...]``: the candidates' while exploring, or the mean's.
 
     Args:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import torch
@@ -27,7 +27,7 @@ from izoo.algos.losses import MaskedDDPGLoss
 from izoo.algos.networks import compiled_mlp
 from izoo.algos.networks.set_networks import spread_out
 from izoo.envs.config import SPEED
-from izoo.errors import check_choice, check_range, check_types
+from izoo.errors import Ranges, check_range
 
 
 @dataclass(frozen=True)
@@ -124,41 +124,25 @@ class DDPGConfig(AlgoConfig):
     stores: Literal["commanded", "applied"] = "commanded"
     save_replay: bool = True
 
-    def __post_init__(self) -> None:
-        check_types("algo", self)
-        for name in ("frames_per_batch", "minibatch_rows", "replay_rows", "n_step"):
-            check_range(f"algo.{name}", getattr(self, name), 1, 10**9)
-        for name in ("learning_starts", "random_frames"):
-            check_range(f"algo.{name}", getattr(self, name), 0, 10**12)
-        for name in ("priority_alpha", "priority_beta", "gamma", "noise_theta", "noise_final", "weight_decay"):
-            check_range(f"algo.{name}", getattr(self, name), 0.0, 1.0)
-        for name in ("updates_per_frame", "actor_lr", "critic_lr", "reward_scale"):
-            check_range(f"algo.{name}", getattr(self, name), 1e-12, 100.0)
-        check_range("algo.tau", self.tau, 1e-9, 0.5)
-        for name in ("noise_sigma", "saturation_coeff"):
-            check_range(f"algo.{name}", getattr(self, name), 0.0, 10.0)
-        if self.max_grad_norm is not None:
-            check_range("algo.max_grad_norm", self.max_grad_norm, 1e-9, 1e9)
-        if self.rows_per_frame is not None:
-            check_range("algo.rows_per_frame", self.rows_per_frame, 1e-3, 10**6)
-        if self.noise_frames is not None:
-            check_range("algo.noise_frames", self.noise_frames, 1, 10**12)
-        check_choice("algo.activation", self.activation, base.ACTIVATIONS)
-        base.check_widths("algo.hidden", self.hidden)
+    ranges: ClassVar[Ranges] = (
+        ("minibatch_rows replay_rows n_step", 1, 10**9),
+        ("learning_starts random_frames", 0, 10**12),
+        ("priority_alpha priority_beta gamma noise_theta noise_final weight_decay", 0.0, 1.0),
+        ("updates_per_frame actor_lr critic_lr reward_scale", 1e-12, 100.0),
+        ("tau", 1e-9, 0.5),
+        ("noise_sigma saturation_coeff", 0.0, 10.0),
+        ("max_grad_norm", 1e-9, 1e9),
+        ("rows_per_frame", 1e-3, 10**6),
+        ("noise_frames", 1, 10**12),
+    )
 
-    @property
-    def emits(self) -> tuple[str, ...]:
-        """Groups that the environment has to emit for this algorithm."""
-        return ("number",) if self.control_variate == "vehicle" else ()
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        base.check_widths("algo.hidden", self.hidden)
 
     def by_step(self, run: Any) -> tuple[str, ...]:
         """Return the options with which it learns from decisions in every step alone."""
         return ("algo.stores=applied",) if self.stores == "applied" and run.env.action != SPEED else ()
-
-    @property
-    def second_play(self) -> str:
-        """The option for which every training episode is played a second time, uncommanded; empty: there is none."""
-        return "" if self.control_variate == "none" else f"algo.control_variate={self.control_variate}"
 
     @classmethod
     def paper(cls) -> DDPGConfig:
@@ -278,12 +262,12 @@ class ExploringPolicy(TensorDictModuleBase):
         """Return the actor's actions ``[*B, A, D]``, compiled on the CPU where no gradient is asked for."""
         if self.size > 1 or not compiled_mlp.compilable(observation):
             return spread_out(self.network(observation[mask]), mask)
-        out, own = np.empty(mask.numel(), np.float32), self.arrays
+        out, network = np.empty(mask.numel(), np.float32), self.arrays.current()
         rows = observation.reshape(-1, observation.shape[-1]).numpy()
         slots = mask.reshape(-1, mask.shape[-1]).numpy().view(np.uint8)
-        network = *own.layers(), own.activation, (self.low, self.high)
+        bounds = self.low, self.high
         compiled_mlp.for_all(
-            len(slots), lambda envs: compiled_mlp.act_squashed(rows, slots, envs.start, envs.stop, *network, out)
+            len(slots), lambda envs: compiled_mlp.act_squashed(rows, slots, envs.start, envs.stop, network, bounds, out)
         )
         return torch.from_numpy(out).view(*mask.shape, 1)
 

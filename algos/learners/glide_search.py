@@ -24,7 +24,7 @@ from izoo.algos.actions.action_modes import ActionSpace, DirectAction
 from izoo.algos.drivers.base import DEFER
 from izoo.algos.drivers.glide import Glide
 from izoo.algos.learners import base
-from izoo.algos.learners.cmaes import CMAES, CMAESConfig, own_numbers
+from izoo.algos.learners.cmaes import CMAES, CMAESConfig, acting_parameters
 from izoo.algos.learners.registry import ON_TWIN
 from izoo.contexts.features import feature
 from izoo.envs import COMPILED
@@ -272,7 +272,7 @@ class GlidePolicies(TensorDictModuleBase):
             IzooError: while exploring, the environments cannot be shared out evenly.
         """
         seen, mask = tensordict.get(base.OBSERVATION), tensordict.get(base.MASK)
-        numbers = own_numbers(self, mask)
+        numbers = acting_parameters(self, mask)
         accel, defer = torch.zeros(mask.shape), torch.ones_like(mask)
         if mask.any():
             # Most slots are empty, and the rule takes a hundred operations.

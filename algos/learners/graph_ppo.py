@@ -35,7 +35,7 @@ from izoo.algos.losses import MaskedGraphPPOLoss
 from izoo.algos.networks.gaussian import SamplingPolicy, normal_parameters, tanh_normal
 from izoo.algos.networks.set_networks import COLUMN, FRAME, RowView, SetNetwork, Sets, places
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M, EGO_FEATURES
-from izoo.errors import IzooError, check_range
+from izoo.errors import IzooError
 
 STOP_LINE_DISTANCE = EGO_FEATURES.index("stop_line_distance")
 """Column of the observation that places a vehicle along its route."""
@@ -74,15 +74,10 @@ class GCRLConfig(PPOConfig):
     range_m: float | None = 100.0
     layers: int = 2
     heads: int = 4
+    ranges = (("neighbours", 0, 4096), ("range_m", 0.0, 1e6, "m"), ("layers heads", 1, 4096))
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.neighbours is not None:
-            check_range("algo.neighbours", self.neighbours, 0, 4096)
-        if self.range_m is not None:
-            check_range("algo.range_m", self.range_m, 0.0, 1e6, "m")
-        for name in ("layers", "heads"):
-            check_range(f"algo.{name}", getattr(self, name), 1, 4096)
         if self.hidden[-1] % self.heads:
             raise IzooError(
                 f"the last of algo.hidden={list(self.hidden)} must be a multiple of algo.heads={self.heads}: the heads "

@@ -24,7 +24,7 @@ from izoo.algos.losses import MaskedMAPPOLoss
 from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.algos.networks.fleet_features import FLEET, FLEET_WIDTH, add_fleet
 from izoo.algos.networks.set_networks import COLUMN, FRAME, RowView, SetNetwork, Sets, spread_out
-from izoo.errors import IzooError, check_range
+from izoo.errors import IzooError
 
 TEAM_BASELINE = "team_baseline"
 """Key of the control variate ``[*B, T, 1]`` under ``"next"``: see :meth:`MAPPO.advantages`."""
@@ -61,6 +61,7 @@ class MAPPOConfig(PPOConfig):
     control_variate: Literal["none", "vehicle", "team"] = "none"  # type: ignore[assignment]
     critic_queries: int = 4
     critic_embedding: int = 128
+    ranges = (("critic_queries", 1, 64), ("critic_embedding", 1, 4096))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -70,8 +71,6 @@ class MAPPOConfig(PPOConfig):
                 f"algo.control_variate={self.control_variate} does not go with the returns of algo.credit="
                 f"{self.credit}; choose {fitting} or none."
             )
-        check_range("algo.critic_queries", self.critic_queries, 1, 64)
-        check_range("algo.critic_embedding", self.critic_embedding, 1, 4096)
 
     @property
     def emits(self) -> tuple[str, ...]:

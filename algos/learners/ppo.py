@@ -6,12 +6,15 @@ batch ``[N, T]``; then the valid entries are flattened, once for all minibatches
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import torch
 from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import CudaGraphModule
+from tensordict.nn.functional_modules import _exclude_td_from_pytree
 from torch import Tensor, nn
 from torchrl.modules import PopArtValueNorm, ProbabilisticActor, RunningValueNorm, ValueNorm, ValueOperator
 
@@ -22,9 +25,10 @@ from izoo.algos.learners.registry import ON_TWIN, AlgoConfig
 from izoo.algos.losses import MaskedPPOLoss
 from izoo.algos.losses.masked_gae import TEAM_REWARD
 from izoo.algos.networks.gaussian import CompiledPolicy, SamplingPolicy, normal_parameters, tanh_normal
+from izoo.algos.networks.masking import is_set_module
 from izoo.envs import REFERENCE
 from izoo.envs.config import BY_STEP, RewardConfig
-from izoo.errors import IzooError, check_range, check_types
+from izoo.errors import IzooError, Ranges
 
 POPART_BETA = 0.99
 """What is left of a batch's weight in the statistics one batch later."""
@@ -123,31 +127,17 @@ class PPOConfig(AlgoConfig):
     initial_accel_mps2: float | None = 0.5
     initial_spread: float = 0.35
 
-    def __post_init__(self) -> None:
-        check_types("algo", self)
-        for name in ("frames_per_batch", "epochs", "minibatch_rows"):
-            check_range(f"algo.{name}", getattr(self, name), 1, 10**9)
-        if self.rows_per_epoch is not None:
-            check_range("algo.rows_per_epoch", self.rows_per_epoch, 1, 10**9)
-        if self.target_kl is not None:
-            check_range("algo.target_kl", self.target_kl, 1e-6, 100.0)
-        for name in ("gamma", "gae_lambda"):
-            check_range(f"algo.{name}", getattr(self, name), 0.0, 1.0)
-        for name in ("lr", "reward_scale", "kl_target"):
-            check_range(f"algo.{name}", getattr(self, name), 1e-12, 100.0)
-        check_range("algo.clip_epsilon", self.clip_epsilon, 1e-12, 0.999)
-        check_range("algo.initial_spread", self.initial_spread, *SPREADS)
-        for name in ("value_coeff", "entropy_coeff", "kl_coeff"):
-            check_range(f"algo.{name}", getattr(self, name), 0.0, 1e6)
-        for name in ("max_grad_norm", "value_error_clip"):
-            if getattr(self, name) is not None:
-                check_range(f"algo.{name}", getattr(self, name), 1e-9, 1e9)
-        check_range("algo.warm_start_frames", self.warm_start_frames, 1, 10**12)
-        if self.warm_start_lr is not None:
-            check_range("algo.warm_start_lr", self.warm_start_lr, 1e-12, 100.0)
-        check_range("algo.kl_to_start", self.kl_to_start, 0.0, 1e6)
-        base.check_widths("algo.hidden", self.hidden)
-
+    ranges: ClassVar[Ranges] = (
+        ("epochs minibatch_rows rows_per_epoch", 1, 10**9),
+        ("gamma gae_lambda", 0.0, 1.0),
+        ("lr warm_start_lr reward_scale kl_target", 1e-12, 100.0),
+        ("target_kl", 1e-6, 100.0),
+        ("clip_epsilon", 1e-12, 0.999),
+        ("initial_spread", *SPREADS),
+        ("value_coeff entropy_coeff kl_coeff kl_to_start", 0.0, 1e6),
+        ("max_grad_norm value_error_clip", 1e-9, 1e9),
+        ("warm_start_frames", 1, 10**12),
+    )
     starts_with: ClassVar[str] = "layers"
     estimates_advantages = True
     runs: ClassVar[Mapping[str, Mapping[str, Any]]] = {
@@ -162,15 +152,9 @@ class PPOConfig(AlgoConfig):
         },
     }
 
-    @property
-    def emits(self) -> tuple[str, ...]:
-        """Groups that the environment has to emit for this algorithm."""
-        return ("number",) if self.control_variate == "vehicle" else ()
-
-    @property
-    def second_play(self) -> str:
-        """The option for which every training episode is played a second time, uncommanded; empty: there is none."""
-        return "" if self.control_variate == "none" else f"algo.control_variate={self.control_variate}"
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        base.check_widths("algo.hidden", self.hidden)
 
     def check_run(self, run: Any) -> None:
         """Raise :class:`IzooError` where other options of a run do not go with these."""
@@ -286,7 +270,10 @@ class PPO:
         self.loss.make_value_estimator()
         networks = {"actor": self.loss.actor_network, "critic": self.loss.critic_network}
         self.weights = {name: list(network.parameters()) for name, network in networks.items()}
-        self.optimiser = torch.optim.Adam(self.loss.parameters(), lr=config.lr, eps=1e-5, fused=True)
+        on_gpu = torch.device(device).type == "cuda"
+        self._lr = torch.tensor(config.lr, device=device) if on_gpu else config.lr
+        self.optimiser = torch.optim.Adam(self.loss.parameters(), self._lr, eps=1e-5, fused=True, capturable=on_gpu)
+        self._replayed = self._make_replayed() if on_gpu else None
         self.warm_start = WarmStart(0 if config.warm_start == "none" else config.warm_start_frames, config.kl_to_start)
 
     def make_actor(self, features: int) -> ProbabilisticActor:
@@ -322,6 +309,18 @@ class PPO:
             "functional": False,  # its parameters are those of the networks: nothing is swapped in at each minibatch
         }
 
+    def _make_replayed(self) -> CudaGraphModule | None:
+        """Return a gradient step whose work on the GPU is recorded once and then replayed: launching it takes longer.
+
+        ``None`` where it depends on the numbers: on who stands around whom, on censored actions, or on their scale.
+        """
+        seen = any(is_set_module(network) for network in (self.loss.actor_network, self.loss.critic_network))
+        if seen or self.space.point_mass is not None or self.loss.value_norm is not None:
+            return None
+        logging.getLogger("tensordict").setLevel(logging.WARNING)  # it tells when it records
+        _exclude_td_from_pytree().set()  # the graph does so too, with a warning
+        return CudaGraphModule(lambda rows: self._descend(self.loss.of_rows(rows)), in_keys=[], out_keys=[])
+
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
         """Learn from a batch ``[N, T]`` of consecutive steps; see :class:`izoo.algos.learners.base.Algorithm`."""
         rows = self.advantages(batch)
@@ -335,32 +334,44 @@ class PPO:
         if imitates:
             rows.set(EXPERT_ACTION, batch.get(EXPERT_ACTION)[batch.get(base.MASK)])
         lr = self.config.warm_start_lr if imitates and self.config.warm_start_lr is not None else self.config.lr
-        for group in self.optimiser.param_groups:
-            group["lr"] = lr * max(1.0 - progress, 0.0) if self.config.anneal_lr else lr
+        self._set_lr(lr * max(1.0 - progress, 0.0) if self.config.anneal_lr else lr)
         bound = None if imitates or self.config.target_kl is None else 1.5 * self.config.target_kl
-        totals: dict[str, Tensor] = {}
-        steps = 0
+        replayed = None if start.active or bound is not None else self._replayed
+        found: list[Any] = []
         for minibatch in self._minibatches(rows):
-            losses = self.loss(minibatch)
+            if replayed is not None and len(minibatch) == self.config.minibatch_rows:
+                found.append(replayed(minibatch))
+                continue
+            losses = self.loss.of_rows(minibatch)
             if start.active:
                 losses = start.losses(actor, minibatch, losses, progress)
             if bound is not None and float(losses["kl_approx"]) > bound:
                 break
-            total = sum(value for key, value in losses.items() if key.startswith("loss_"))
-            self.optimiser.zero_grad()
-            total.backward()  # type: ignore[union-attr]
-            losses.update(self._clip())
-            self.optimiser.step()
-            for key, value in losses.items():
-                totals[key] = totals.get(key, 0.0) + value.detach()
-            steps += 1
+            found.append(self._descend(losses))
         start.count(batch.numel(), actor, progress)
-        stats = {key: float(value) / steps for key, value in totals.items()}
+        means: Any = torch.stack(found).mean(0) if found else {}
+        stats = {key: float(value) for key, value in means.items()}
         if not imitates:  # while it imitates, the penalty does not act
             self._adapt_kl_weight(stats.get("kl"))
-        stats["lr"] = self.optimiser.param_groups[0]["lr"]
-        stats["agent_rows"], stats["gradient_steps"] = float(len(rows)), float(steps)
+        stats["lr"], stats["gradient_steps"] = float(self._lr), float(len(found))
         return stats
+
+    def _set_lr(self, lr: float) -> None:
+        if isinstance(self._lr, Tensor):
+            self._lr.fill_(lr)
+        else:
+            self._lr = lr
+        for group in self.optimiser.param_groups:
+            group["lr"] = self._lr
+
+    def _descend(self, losses: TensorDictBase) -> TensorDictBase:
+        """Follow the gradient of the losses; return them, and the gradients' norms as they were."""
+        total = sum(value for key, value in losses.items() if key.startswith("loss_"))  # type: ignore[misc]
+        self.optimiser.zero_grad()
+        total.backward()  # type: ignore[union-attr]
+        losses.update(self._clip())
+        self.optimiser.step()
+        return losses.detach()
 
     def _clip(self) -> dict[str, Tensor]:
         """Bound the gradients; return their norms as they were."""
@@ -415,6 +426,9 @@ class PPO:
         self.policy.load_state_dict(state["policy"])
         self.critic.load_state_dict(state["critic"])
         self.optimiser.load_state_dict(state["optimiser"])
+        for group in self.optimiser.param_groups:  # another device may have saved it
+            group["capturable"] = isinstance(self._lr, Tensor)
+        self._replayed = None if self._replayed is None else self._make_replayed()
         self.loss.kl_weight.fill_(state["kl_weight"])
         if self.loss.value_norm is not None:
             self.loss.value_norm.load_state_dict(state["value_norm"])

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from izoo.envs import COMPILED
-from izoo.errors import IzooError, unknown_choice
+from izoo.errors import CheckedOptions, IzooError, Ranges, unknown_choice
 from izoo.imports import imported
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def cap_share(name: str) -> float | None:
 
 
 @dataclass(frozen=True)
-class AlgoConfig:
+class AlgoConfig(CheckedOptions):
     """Hyper-parameters of an algorithm; further ones are fields of a frozen dataclass that is derived from this.
 
     Attributes:
@@ -60,6 +60,8 @@ class AlgoConfig:
 
     name: str = ""
     frames_per_batch: int = 1950
+    group = "algo"
+    ranges: ClassVar[Ranges] = (("frames_per_batch", 1, 10**9),)
     needs_env: ClassVar[bool] = False
     """Whether the algorithm is also told the settings of the environment, ``env=``."""
     starts_with: ClassVar[str] = ""
@@ -77,12 +79,16 @@ class AlgoConfig:
     @property
     def emits(self) -> tuple[str, ...]:
         """Groups that the environment has to emit for this algorithm."""
-        return ("team_reward",) if self.candidates > 1 else ()
+        team = ("team_reward",) if self.candidates > 1 else ()
+        return (*team, *(("number",) if self.variate == "vehicle" else ()))
 
     @property
-    def second_play(self) -> str:
-        """The option for which every training episode is played a second time, uncommanded; empty: there is none."""
-        return ""
+    def variate(self) -> str:
+        """What the uncommanded episode's rewards are subtracted from: ``vehicle``, ``team`` or ``none``.
+
+        With either, every training episode is played a second time, uncommanded.
+        """
+        return getattr(self, "control_variate", "none")
 
     def by_step(self, run: Any) -> tuple[str, ...]:
         """Return the options with which it learns from decisions in every step alone."""

@@ -11,7 +11,6 @@ from typing import Any, Literal
 
 from izoo.algos.learners.ddpg import DDPG, DDPGConfig
 from izoo.algos.losses import MaskedTD3Loss
-from izoo.errors import check_range
 
 
 @dataclass(frozen=True)
@@ -34,12 +33,7 @@ class TD3Config(DDPGConfig):
     policy_delay: int = 2
     target_noise: float = 0.2
     target_noise_clip: float = 0.5
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_range("algo.policy_delay", self.policy_delay, 1, 10**6)
-        for name in ("target_noise", "target_noise_clip"):
-            check_range(f"algo.{name}", getattr(self, name), 0.0, 10.0)
+    ranges = (("policy_delay", 1, 10**6), ("target_noise target_noise_clip", 0.0, 10.0))
 
 
 class TD3(DDPG):

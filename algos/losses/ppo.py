@@ -94,7 +94,9 @@ class MaskedPPOLoss(ClipPPOLoss):
             **options,
         )
         self.value_norm = value_norm
-        self.value_error_clip, self._discounts = value_error_clip, {"gamma": gamma, "lmbda": lmbda}
+        self._discounts = {"gamma": gamma, "lmbda": lmbda}
+        self._most_value_loss = None if value_error_clip is None else critic_coeff * value_error_clip
+        self._punishes_divergence = kl_coeff > 0
         self.register_buffer("kl_weight", torch.tensor(float(kl_coeff)))
         self._divergence: Tensor | None = None
 
@@ -129,7 +131,7 @@ class MaskedPPOLoss(ClipPPOLoss):
         needed: Sequence[NestedKey] = [
             *seen,
             *(keys.action, keys.sample_log_prob, keys.advantage, keys.value_target),
-            *((keys.loc, keys.scale) if self.kl_weight > 0 else ()),
+            *((keys.loc, keys.scale) if self._punishes_divergence else ()),
         ]
         there, wanted = batch.get(keys.mask), base.deciding(batch, keys.mask)
         rows = rows_of(batch, wanted, needed)
@@ -150,6 +152,10 @@ class MaskedPPOLoss(ClipPPOLoss):
             rows = self.rows(tensordict)
         else:
             check_finite(rows.exclude(AROUND))
+        return self.of_rows(rows)
+
+    def of_rows(self, rows: TensorDictBase) -> TensorDictBase:
+        """Return the losses of one or more rows as :meth:`rows` returns them, which is not checked."""
         losses = super().forward(rows)
         divergence, self._divergence = self._divergence, None  # its graph is the caller's now
         if divergence is not None:
@@ -166,7 +172,7 @@ class MaskedPPOLoss(ClipPPOLoss):
         each row 0 or more, and far less noisy than ``-log r`` (http://joschu.net/blog/kl-approx.html).
         """
         keys = self.tensor_keys
-        old = Normal(tensordict.get(keys.loc), tensordict.get(keys.scale)) if self.kl_weight > 0 else None
+        old = Normal(tensordict.get(keys.loc), tensordict.get(keys.scale)) if self._punishes_divergence else None
         compared = super()._log_weight(tensordict, *shapes, **options)
         if old is not None:
             self._divergence = kl_divergence(old, normal_of(compared[1])).sum(-1).mean()
@@ -182,8 +188,8 @@ class MaskedPPOLoss(ClipPPOLoss):
     def loss_critic(self, tensordict: TensorDictBase) -> tuple[Tensor, ...]:
         """Return the value loss per row; errors beyond ``value_error_clip`` are flat."""
         loss, *rest = super().loss_critic(tensordict)
-        if self.value_error_clip is not None:
-            loss = loss.clamp(max=float(self.critic_coeff) * self.value_error_clip)
+        if self._most_value_loss is not None:
+            loss = loss.clamp(max=self._most_value_loss)
         return (loss, *rest)
 
 

@@ -10,7 +10,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -23,8 +23,37 @@ from izoo.emissions.kernel import fast_tanh
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _MOST_EXCESS = MAX_EXCESS
-Layers = tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]
-"""Weights ``[O, I]`` and biases ``[O]`` of linear layers, in the order in which they are applied."""
+
+
+class Network(NamedTuple):
+    """A fully connected network.
+
+    Attributes:
+        weights, biases: ``[O, I]`` and ``[O]`` of its layers, in the order in which they are applied.
+        activation: between them; place in :data:`izoo.algos.learners.base.ACTIVATIONS`.
+    """
+
+    weights: tuple[np.ndarray, ...]
+    biases: tuple[np.ndarray, ...]
+    activation: int
+
+
+class Squashing(NamedTuple):
+    """How a network's two outputs become an action.
+
+    With ``half_band`` of 0 or more, actions have a point mass at 0
+    (:class:`izoo.algos.networks.censored_normal.CensoredNormal`).
+
+    Attributes:
+        spread: ``(offset, summand, floor)``: the spread is ``max(softplus(output + offset) + summand, floor)``.
+        bounds: ``(low, high)`` of the action.
+        half_band: half the width of the band that stands for the action 0; below 0: there is none.
+    """
+
+    spread: tuple[float, float, float]
+    bounds: tuple[float, float]
+    half_band: float
+
 
 ShareOut = Callable[[Callable[[slice], object]], None]
 """Calls a task with each thread's share of the environments, all threads side by side."""
@@ -61,22 +90,22 @@ class Arrays:
         self.linears = [module for module in network.modules() if isinstance(module, nn.Linear)]
         places = {kind: place for place, kind in enumerate(ACTIVATIONS.values())}
         self.activation = next(places[type(module)] for module in network.modules() if type(module) in places)
-        self._layers: Layers = ((), ())
+        self._network = Network((), (), self.activation)
         self._places: list[int] = []
 
     def __getstate__(self) -> dict[str, Any]:
         # A copy's parameters may lie at addresses that held others before, so a copy begins without the arrays.
-        return {**self.__dict__, "_layers": ((), ()), "_places": []}
+        return {**self.__dict__, "_network": Network((), (), self.activation), "_places": []}
 
-    def layers(self) -> Layers:
-        """Return all weights ``[O, I]`` and all biases ``[O]`` as they are now, even if they have moved in memory."""
+    def current(self) -> Network:
+        """Return the layers as they are now, even if they have moved in memory."""
         parameters = [layer._parameters for layer in self.linears]
         weights, biases = ([own[name] for own in parameters] for name in ("weight", "bias"))
         places = [parameter.data_ptr() for parameter in (*weights, *biases)]  # type: ignore[union-attr]
         if places != self._places:
-            self._layers = _arrays(weights), _arrays(biases)
+            self._network = Network(_arrays(weights), _arrays(biases), self.activation)
             self._places = places
-        return self._layers
+        return self._network
 
 
 def _arrays(parameters: Sequence[nn.Parameter | None]) -> tuple[np.ndarray, ...]:
@@ -160,33 +189,28 @@ def zero_log_prob(loc, scale, half_band, two_sided):  # type: ignore[no-untyped-
 
 
 @compiled(error_model="numpy")
-def layers(x, weights, biases, activation):  # type: ignore[no-untyped-def]
-    """Return ``[n, O]``: a fully connected network on ``x [n, I]``, with activations between its layers."""
-    for layer in range(len(weights)):
-        x = linear(x, weights[layer], biases[layer])
-        if layer < len(weights) - 1:
-            activate(x.reshape(-1), activation)
+def outputs(x, network):  # type: ignore[no-untyped-def]
+    """Return ``[n, O]``: a :class:`Network` on ``x [n, I]``."""
+    for layer in range(len(network.weights)):
+        x = linear(x, network.weights[layer], network.biases[layer])
+        if layer < len(network.weights) - 1:
+            activate(x.reshape(-1), network.activation)
     return x
 
 
 @compiled(error_model="numpy")
-def sample(parameters, rows, spread, bounds, half_band, two_sided, noise, out):  # type: ignore[no-untyped-def]
+def sample(parameters, rows, squashing, two_sided, noise, out):  # type: ignore[no-untyped-def]
     """Draw for the agents ``rows [r]``.
-
-    With ``half_band`` of 0 or more, actions have a point mass at 0
-    (:class:`izoo.algos.networks.censored_normal.CensoredNormal`).
 
     Args:
         parameters: ``[r, 2]`` a network's outputs.
         rows: ``[r]`` their places among the ``n`` slots.
-        spread: ``(offset, summand, floor)``: the spread is ``max(softplus(output + offset) + summand, floor)``.
-        bounds: ``(low, high)`` of the action.
-        half_band: half the width of the band that stands for the action 0; below 0: there is none.
+        squashing: a :class:`Squashing`.
         two_sided: ``[n]`` uint8: actions below 0 differ from 0.
         noise: ``[n]`` standard normal numbers.
         out: ``[4, n]`` outputs: median and spread before the tanh, action (0 beforehand), log-probability.
     """
-    offset, summand, floor = spread
+    (offset, summand, floor), bounds, half_band = squashing
     middle, half = 0.5 * (bounds[0] + bounds[1]), 0.5 * (bounds[1] - bounds[0])
     constant = -0.5 * math.log(2.0 * math.pi) - 2.0 * math.log(2.0) - math.log(half)
     for j in range(rows.shape[0]):
@@ -211,9 +235,7 @@ def sample(parameters, rows, spread, bounds, half_band, two_sided, noise, out): 
 
 
 @compiled(error_model="numpy", nogil=True)
-def act(  # type: ignore[no-untyped-def]
-    observation, mask, first, last, weights, biases, activation, spread, bounds, half_band, two_sided, noise, out
-):
+def act(observation, mask, first, last, network, squashing, two_sided, noise, out):  # type: ignore[no-untyped-def]
     """Act for every agent by a fully connected network; what empty slots hold does not matter.
 
     These get median 0, spread 1, action 0 and log-probability 0.
@@ -222,28 +244,22 @@ def act(  # type: ignore[no-untyped-def]
         observation: ``[n, F]``.
         mask: ``[M, A]``, ``n`` in all, uint8: the slot holds an agent.
         first, last: of the ``M`` environments those that are acted for.
-        weights, biases: tuples of the layers' ``[O, I]`` and ``[O]``; the last layer has two outputs.
-        activation: place in :data:`izoo.algos.learners.base.ACTIVATIONS`.
-        spread, bounds, half_band, two_sided, noise, out: see :func:`sample`.
+        network: a :class:`Network` with two outputs.
+        squashing, two_sided, noise, out: see :func:`sample`.
     """
     slots = mask.shape[1]
     rows = np.flatnonzero(mask[first:last]) + first * slots
     for k in range(4):
         out[k, first * slots : last * slots] = 1.0 if k == 1 else 0.0
-    sample(
-        layers(observation[rows], weights, biases, activation), rows, spread, bounds, half_band, two_sided, noise, out
-    )
+    sample(outputs(observation[rows], network), rows, squashing, two_sided, noise, out)
 
 
 @compiled(error_model="numpy", nogil=True)
-def act_squashed(observation, mask, first, last, weights, biases, activation, bounds, out):  # type: ignore[no-untyped-def]
-    """Write ``tanh`` of a network's one output, on ``bounds``, to ``out [n]``; empty slots get 0.
-
-    The other arguments are those of :func:`act`.
-    """
+def act_squashed(observation, mask, first, last, network, bounds, out):  # type: ignore[no-untyped-def]
+    """Write ``tanh`` of a network's one output, on ``bounds``, to ``out [n]``; empty slots get 0; see :func:`act`."""
     slots = mask.shape[1]
     rows = np.flatnonzero(mask[first:last]) + first * slots
-    raw = layers(observation[rows], weights, biases, activation)
+    raw = outputs(observation[rows], network)
     middle, half = 0.5 * (bounds[0] + bounds[1]), 0.5 * (bounds[1] - bounds[0])
     out[first * slots : last * slots] = 0.0
     for j in range(rows.shape[0]):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -42,6 +43,13 @@ def normal_parameters(
     return NormalParamExtractor(scale_mapping=f"biased_softplus_{initial_spread}", scale_lb=0.01)
 
 
+class RangedTanhNormal(TanhNormal):
+    """TorchRL's, with bounds that are made where its parameters are, so that CUDA graphs can hold it."""
+
+    def __init__(self, loc: Tensor, scale: Tensor, low: float, high: float, **options: Any) -> None:
+        super().__init__(loc, scale, low=loc.new_full((), low), high=loc.new_full((), high), **options)
+
+
 def tanh_normal(network: nn.Module, in_keys: Sequence[tuple[str, ...]], space: ActionSpace) -> ProbabilisticActor:
     """Return the policy over actions in ``space`` whose ``(loc, scale)`` ``network`` returns."""
     point_mass = space.point_mass
@@ -52,7 +60,7 @@ def tanh_normal(network: nn.Module, in_keys: Sequence[tuple[str, ...]], space: A
         TensorDictModule(network, in_keys=list(in_keys), out_keys=[base.LOC, base.SCALE]),
         in_keys=parameters,
         out_keys=[base.ACTION],
-        distribution_class=TanhNormal if point_mass is None else CensoredNormal,
+        distribution_class=RangedTanhNormal if point_mass is None else CensoredNormal,
         distribution_kwargs={"low": space.low, "high": space.high}
         if point_mass is None
         else {"bound": space.high, "half_band": point_mass.half_band},
@@ -147,21 +155,22 @@ class CompiledPolicy(SamplingPolicy):
         self.arrays = compiled_mlp.Arrays(self.network)
         (extract,) = (module for module in self.network.modules() if isinstance(module, NormalParamExtractor))
         mapping = extract.scale_mapping
-        self.spread = (float(mapping.bias), float(mapping.min_val), float(extract.scale_lb))
+        spread = (float(mapping.bias), float(mapping.min_val), float(extract.scale_lb))
+        self.squashing = compiled_mlp.Squashing(spread, self.bounds, self.half_band)
 
     def sample(self, observation: Tensor, mask: Tensor, noise: Tensor, two_sided: Tensor | None = None) -> Tensor:
         """Return loc, scale, action and log-probability, ``[4, *B, A]``; see :meth:`SamplingPolicy.sample`."""
         if not compiled_mlp.compilable(observation):
             return super().sample(observation, mask, noise, two_sided)
         flags = np.zeros(mask.numel(), np.uint8) if two_sided is None else two_sided.reshape(-1).numpy().view(np.uint8)
-        out, own = np.empty((4, mask.numel()), np.float32), self.arrays
+        out, network = np.empty((4, mask.numel()), np.float32), self.arrays.current()
         rows = observation.reshape(-1, observation.shape[-1]).numpy()
         slots, draws = mask.reshape(-1, mask.shape[-1]).numpy().view(np.uint8), noise.reshape(-1).numpy()
-        network = *own.layers(), own.activation
-        how = self.spread, self.bounds, self.half_band
         compiled_mlp.for_all(
             len(slots),
-            lambda envs: compiled_mlp.act(rows, slots, envs.start, envs.stop, *network, *how, flags, draws, out),
+            lambda envs: compiled_mlp.act(
+                rows, slots, envs.start, envs.stop, network, self.squashing, flags, draws, out
+            ),
         )
         return torch.from_numpy(out).view(4, *mask.shape)
 

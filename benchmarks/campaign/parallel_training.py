@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 
 from izoo.conf.train_options import TrainConfig
-from izoo.console import EXIT_BAD_INPUT, counted, exit_code, unheard
+from izoo.console import EXIT_BAD_INPUT, counted, exit_code, survives_lost_output
 from izoo.errors import IzooError, UnfinishedError
 from izoo.processes import ChildProcess, end_with_parent
 
@@ -132,7 +132,7 @@ def worker_main(parent: int, setup: int) -> None:
     if cores:
         os.sched_setaffinity(0, cores)
 
-    @unheard()
+    @survives_lost_output()
     def work() -> int:
         end_with_parent(parent, lambda: os.kill(os.getpid(), signal.SIGTERM))  # which saves the run
         from izoo.training.loop import train  # once the cores are known, which PyTorch counts when it is loaded

@@ -139,23 +139,22 @@ def headroom(table: pd.DataFrame) -> Table | None:
 def costs(folder: Path) -> Table:
     """Return what training cost, a row per entry, mean over its runs.
 
-    Core-hours are processor time, with validations beside training; they are missing where a run did not record it.
+    Core-hours are processor time, with validations beside training. What a run did not record is missing.
     """
     rows = []
     for name, runs in _runs(folder).items():
         decisions, simulated_h, core_h = np.mean([_spent(run) for run in runs], axis=0)
-        shown = "-" if np.isnan(core_h) else f"{core_h:.2f}"
-        rows.append((name, len(runs), f"{decisions:,.0f}", f"{simulated_h:,.0f}", shown))
+        spent = ((decisions, ",.0f"), (simulated_h, ",.0f"), (core_h, ".2f"))
+        rows.append((name, len(runs), *("-" if np.isnan(value) else f"{value:{form}}" for value, form in spent)))
     title = "Cost of a training run; core-hours are processor time while it trained"
     return Table.of(title, ("entry", "runs", "decisions", "simulated hours", "core-hours"), rows)
 
 
 def _spent(run: Path) -> tuple[float, float, float]:
     config, table = run_folder.read_config(run), MetricsTable.read(run / run_folder.METRICS_FILE)
-    decisions, episodes, worked_s = (table.series(name)[1] for name in ("agent_rows", "episodes", "processor_s"))
-    frames, _ = table.series("seconds")
+    decisions, episodes, worked_s = (table.series(name)[1] for name in ("decisions", "episodes", "processor_s"))
     simulated_h = max(episodes, default=0.0) * config.env.horizon_s / 3600.0
-    return sum(decisions) or max(frames), simulated_h, sum(worked_s) / 3600.0 if worked_s else np.nan
+    return sum(decisions) or np.nan, simulated_h, sum(worked_s) / 3600.0 if worked_s else np.nan
 
 
 def _runs(folder: Path) -> dict[str, list[Path]]:
@@ -212,9 +211,9 @@ def _marks(lines: Sequence[Line], name: str, colour: str, dash: str) -> list[Ser
 def curve(run: Path, column: str) -> Line:
     """Return a column of a run's validations, and the decisions that it had learned from by then."""
     measured, validated = (MetricsTable.read(run / name) for name in (run_folder.METRICS_FILE, VALIDATION_FILE))
-    frames, rows = measured.series("agent_rows")
+    frames, rows = measured.series("decisions")
     at, values = validated.series(column)
-    return np.interp(at, frames, np.cumsum(rows)) if frames else np.array(at, float), np.array(values)
+    return (np.interp(at, frames, np.cumsum(rows)), np.array(values)) if frames else (np.zeros(0), np.zeros(0))
 
 
 def verdict(run: PartRun, summary: Summary) -> str:

@@ -146,7 +146,7 @@ def few(rows: Sequence[Row]) -> pd.DataFrame:
     """Sum up episodes of one and two vehicles, a row per number of vehicles, and commanded or not.
 
     Args:
-        rows: of :func:`izoo.benchmarks.fidelity.few_vehicles.compare_few`.
+        rows: of :func:`izoo.benchmarks.fidelity.single_vehicle.compare_few`.
     """
     if not rows:
         return pd.DataFrame()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import concurrent.futures
 import contextlib
 import os
 import resource
@@ -112,11 +113,18 @@ def on_twin(context: Context, seconds: float, envs: int, threads: int, surrogate
         env = TwinEnv(envs, Seeds(context), config=settings(emit=emit), threads=threads, surrogate=surrogate)
         with contextlib.closing(env):
             state = env.reset()
+            _prepared(env)
             if not emit:
                 rows.append(_alone(f"{name}, backend", env, seconds))
                 state = env.reset()
+                _prepared(env)
             rows.append(_stepped(f"{name}, {'all' if emit else 'no'} groups", env, state, seconds, env.backend))
     return rows
+
+
+def _prepared(env: TwinEnv) -> None:
+    """Wait until the next episodes are prepared, which would take cores from what is timed."""
+    concurrent.futures.wait([future for _, future in env.backend._ahead.values()])
 
 
 def _alone(name: str, env: TwinEnv, seconds: float) -> Row:
@@ -144,6 +152,8 @@ def training(context: Context, seconds: float, envs: int, threads: int, surrogat
     parts: dict[str, list[float]] = {"collect": [], "update": []}
     agents: list[float] = []
     with contextlib.closing(BatchSource(config, learner.policy, Seeds(context))) as source:
+        source.next()
+        _prepared(source.batched.env)  # type: ignore[union-attr]
 
         def once() -> None:
             begin = time.perf_counter()
@@ -268,6 +278,8 @@ def _collected(name: str, config: TrainConfig, context: Context, envs: int, leng
             agents.append(float(last["agents", "mask"].sum()))
 
         batch()
+        if source.batched is not None:
+            _prepared(source.batched.env)
         found = timed(batch, seconds, source.batched.env.backend if source.batched else None)
         driven = last["next", TOTALS][..., VEHICLE_STEPS]
         vehicles = float((driven[:, -1] - driven[:, 0]).mean()) / (length - 1)

@@ -34,6 +34,8 @@ from izoo.networks.net.build import build_nets
 
 CORES_FOR_PROCESSES, ENVS_FOR_PROCESSES = 4, 64
 """From so many threads and environments on processes prepare the episodes: each takes a second to begin."""
+FEWER_ENVS = 8
+"""Environments that are stepped in the time in which the tensors of a step are made."""
 SURROGATES = ("torch", "cuda", "compiled")
 
 
@@ -81,7 +83,10 @@ class TwinBackend:
         self._weights = load_weights()
         module = MovesSurrogate(self._weights).to("cuda" if surrogate == "cuda" else "cpu")
         # Each thread's environments are neighbours: lines of the cache that two of them share belong to one thread.
-        bounds = [num_envs * thread // self.threads for thread in range(self.threads + 1)]
+        # The first thread has fewer, since it makes the tensors meanwhile.
+        fewer = min(FEWER_ENVS, num_envs // self.threads // 4) if self.threads > 1 else 0
+        ends = [(num_envs + fewer) * (thread + 1) // self.threads - fewer for thread in range(self.threads)]
+        bounds = [0, *ends]
         self._shares = [slice(*pair) for pair in itertools.pairwise(bounds)]
         self._emitters = [Emitter(module) for _ in self._shares]
         self._desks = [Desk() for _ in self._shares]

@@ -168,17 +168,8 @@ class EcoDrivingEgo(_View[np.ndarray]):
         contexts, config, render_mode, in_process, simulator: as for :class:`EcoDrivingJoint`.
     """
 
-    def __init__(
-        self,
-        contexts: Contexts | None = None,
-        config: EnvConfig | None = None,
-        render_mode: str | None = None,
-        in_process: bool = False,
-        simulator: str = "sumo",
-        *,
-        others: Policy | None = None,
-    ) -> None:
-        super().__init__(contexts, config, render_mode, in_process, simulator)
+    def __init__(self, *args: Any, others: Policy | None = None, **options: Any) -> None:
+        super().__init__(*args, **options)
         if others is not None and not callable(others):
             raise IzooError(f"others is a {type(others).__name__}; give a policy of TensorDicts, or None for SUMO.")
         self.others = others

@@ -34,36 +34,8 @@ VEHICLE_COLUMNS = (*VEHICLE_FLOATS, *VEHICLE_INTS, *VEHICLE_FLAGS)
 """Columns of a vehicle's row in :meth:`EcoDrivingParallel.state`; a row whose ``present`` is 0 is empty."""
 
 
-def parallel_env(
-    contexts: Contexts | None = None,
-    config: EnvConfig | None = None,
-    seed: int = 0,
-    render_mode: str | None = None,
-    *,
-    max_vehicles: int = 4096,
-    in_process: bool = False,
-    simulator: str = "sumo",
-) -> EcoDrivingParallel:
-    """Return one intersection under PettingZoo's parallel API.
-
-    Args:
-        contexts: what is played, as for :class:`~izoo.envs.EcoDrivingEnv`.
-        config: settings of the environment; ``emit`` and ``gui`` have no effect.
-        seed: base seed of the episodes; ``reset(seed=...)`` sets another one and begins with its first episode.
-        render_mode: ``rgb_array`` (a top view; no screen is needed) or ``human`` (sumo-gui).
-        max_vehicles: length of ``possible_agents``. An episode's vehicles are numbered in order of departure; CVs with
-            higher numbers are left uncommanded, with a warning.
-        in_process: simulate in this process instead of a separate one: faster, but a process can hold only one such
-            environment.
-        simulator: ``sumo``, or ``twin``, its compiled copy, any number of which run in this process.
-    """
-    return EcoDrivingParallel(
-        contexts, config, seed, render_mode, max_vehicles=max_vehicles, in_process=in_process, simulator=simulator
-    )
-
-
 class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
-    """One intersection whose agents appear and leave; :func:`parallel_env` makes it.
+    """One intersection whose agents appear and leave, under PettingZoo's parallel API.
 
     - Agents are named ``cv_<number>`` by the vehicle's number in the episode's demand, so a vehicle has the same name
       under every policy. ``possible_agents`` are the names up to ``max_vehicles``.
@@ -79,20 +51,31 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
     - ``agents`` is empty only when the episode is over: steps without any CV are simulated in one go.
 
     All agents share one observation and one action space, so seeding one seeds those of vehicles yet to come.
+
+    Args:
+        contexts: what is played, as for :class:`~izoo.envs.EcoDrivingEnv`.
+        config: settings of the environment; ``emit`` and ``gui`` have no effect.
+        seed: base seed of the episodes; ``reset(seed=...)`` sets another one and begins with its first episode.
+        render_mode: ``rgb_array`` (a top view; no screen is needed) or ``human`` (sumo-gui).
+        max_vehicles: length of ``possible_agents``. An episode's vehicles are numbered in order of departure; CVs with
+            higher numbers are left uncommanded, with a warning.
+        in_process: simulate in this process instead of a separate one: faster, but a process can hold only one such
+            environment.
+        simulator: ``sumo``, or ``twin``, its compiled copy, any number of which run in this process.
     """
 
     metadata: dict[str, Any] = {"name": "izoo_eco_driving_v0", "is_parallelizable": True}  # noqa: RUF012
 
     def __init__(
         self,
-        contexts: Contexts | None,
-        config: EnvConfig | None,
-        seed: int,
-        render_mode: str | None,
+        contexts: Contexts | None = None,
+        config: EnvConfig | None = None,
+        seed: int = 0,
+        render_mode: str | None = None,
         *,
-        max_vehicles: int,
-        in_process: bool,
-        simulator: str,
+        max_vehicles: int = 4096,
+        in_process: bool = False,
+        simulator: str = "sumo",
     ) -> None:
         check_whole("max_vehicles", max_vehicles, 1, 10**6)
         self.session = ViewSession(contexts, config, seed, render_mode, in_process, simulator)
@@ -288,3 +271,7 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         slot = self._slot[agent]
         info = {"time_s": self.session.time_s, "slot": slot}
         return info if self.config.decide == STEP else info | {"decides": bool(self.session.decides[slot])}
+
+
+parallel_env = EcoDrivingParallel
+"""PettingZoo's name for what makes an environment."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from izoo import __version__
 from izoo.cli.subcommands import SubcommandCommand, argument
-from izoo.console import Progress, unheard
+from izoo.console import Progress, survives_lost_output
 from izoo.contexts.population import read_population
 from izoo.errors import IzooError
 from izoo.files import os_reason, write_json
@@ -41,7 +41,7 @@ main = DRIVERS.main
     argument("--chains", type=int, default=4, help="default: 4"),
     argument("--seed", type=int, default=0, help="of the chains and of --max-drivers; default: 0"),
 )
-@unheard()
+@survives_lost_output()
 def calibrate(options: argparse.Namespace) -> int:
     """Calibrate, print, draw and write; return 0, or 1 where the chains did not converge."""
     print(f"izoo {__version__} drivers {options.command}", flush=True)

@@ -87,9 +87,6 @@ def compose_config(cls: type[T], words: Sequence[str], defaults: Defaults | None
                 f"{word!r} gives several values; add -m to run once for each, or quote it: {key}=\"'...'\"."
             )
     named = {override.key_or_group: override.value() for override in overrides}
-    for name in FOLDERS:
-        if named.get(name) == "":
-            raise IzooError(f"{name} is empty; give a folder, such as {name}=results.")
     values: dict[str, Any] = to_mapping(cls())  # type: ignore[call-arg]
     chosen = {key: str(value) for key, value in named.items() if key in groups() and key in _paths(values)}
     if hasattr(cls, "role") and named.get("task") is not None:

@@ -8,15 +8,14 @@ import sys
 from pathlib import Path
 
 from izoo.cli.subcommands import SubcommandCommand, argument
-from izoo.console import Progress, counted, plain, unheard
+from izoo.console import Progress, counted, plain, survives_lost_output
 from izoo.contexts import catalogue
-from izoo.contexts.cities.compare import compare_cities, format_distances
 from izoo.contexts.cities.plans import measure
-from izoo.contexts.cities.rebuilt import CITIES, SIZES, city_name
+from izoo.contexts.cities.rebuilt import CITIES, SIZES, city_name, get
 from izoo.contexts.context import ENGINES, HOURS, SEASONS, Context
 from izoo.contexts.splits import SPLITS
 from izoo.errors import IzooError
-from izoo.networks.osm.driving_side import SIDES
+from izoo.networks.osm.streets import SIDES
 
 CONTEXTS = SubcommandCommand(
     "contexts",
@@ -116,7 +115,9 @@ def _cities(_: argparse.Namespace) -> None:
     argument("--city", action="append", help="default: all ten"),
 )
 def _compare(options: argparse.Namespace) -> None:
-    tables = compare_cities([city_name(city) for city in options.city or CITIES])
+    from izoo.contexts.cities.compare import feature_table, format_distances
+
+    tables = {name: feature_table(get(name)) for name in map(city_name, options.city or CITIES)}
     print("total variation between rebuilt and published distributions, before the flow cap (target: at most 0.05)")
     print(format_distances(tables))
 
@@ -126,7 +127,7 @@ def _compare(options: argparse.Namespace) -> None:
     argument("path", type=Path, help="a folder or zip archive of intersection folders"),
     argument("target", type=Path, nargs="?", help="a new folder; default: datasets/NAME in this folder"),
 )
-@unheard()
+@survives_lost_output()
 def _import(options: argparse.Namespace) -> None:
     target = options.target or Path("datasets", options.path.resolve().stem)
     print(f"checking {plain(options.path)}", flush=True)
@@ -155,7 +156,7 @@ def _import(options: argparse.Namespace) -> None:
     argument("--drives-on", choices=SIDES, help="the side of traffic; default: that of the country"),
     argument("target", type=Path, help="a new folder, or an earlier build, which is replaced unless it was edited"),
 )
-@unheard()
+@survives_lost_output()
 def _build(options: argparse.Namespace) -> None:
     print(f"reading {plain(options.osm)}", flush=True)
     from izoo.networks.osm.extract import build_from_osm
@@ -170,7 +171,7 @@ def _build(options: argparse.Namespace) -> None:
     argument("what", help="a path (an intersection, or a folder of some), or an id, CITY or CITY/NUMBER"),
     argument("png", type=Path, help="the picture to write"),
 )
-@unheard()
+@survives_lost_output()
 def _draw(options: argparse.Namespace) -> None:
     print(f"drawing {plain(options.what)}", flush=True)
     from izoo.cli.draw import draw

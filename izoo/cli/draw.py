@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from pathlib import Path
 
 from izoo.contexts import catalogue
 from izoo.contexts.cities import rebuilt as cities
-from izoo.contexts.spec import IntersectionSpec
 from izoo.errors import IzooError
 from izoo.files import expanded
 from izoo.networks.dataset.intersections import find_intersections, load_intersection, load_specs
 from izoo.networks.draw.intersection import draw_features, draw_intersection, save_png
 from izoo.networks.draw.town import draw_town
-from izoo.networks.net.build import build_net
 from izoo.networks.osm.store import CMDP_FILE, load_record
-from izoo.networks.road import read_road
-from izoo.networks.signals.search import search_plan
 
 
 def draw(what: str, png: Path) -> Path:
@@ -36,7 +31,7 @@ def draw(what: str, png: Path) -> Path:
     if path.exists():
         return _draw_path(path, png)
     if re.fullmatch(r"-?\d{1,18}", what, re.ASCII):
-        return _draw_one(catalogue.get(int(what)).intersection, {}, png)
+        return draw_intersection(catalogue.get(int(what)).intersection, png)
     city, _, number = what.partition("/")
     try:
         cities.city_name(city)
@@ -49,7 +44,7 @@ def draw(what: str, png: Path) -> Path:
     size = len(cities.get(city))
     if not number.isdecimal() or int(number) >= size:
         raise IzooError(f"intersection {number} of {city} does not exist; legal: 0 to {size - 1}.")
-    return _draw_one(cities.get(city)[int(number)], {}, png)
+    return draw_intersection(cities.get(city)[int(number)], png)
 
 
 def check_png(path: Path) -> None:
@@ -62,23 +57,13 @@ def check_png(path: Path) -> None:
 
 def _draw_path(path: Path, png: Path) -> Path:
     if path.suffix == ".json" and path.is_file() and path.name != CMDP_FILE:
-        return _draw_one(*load_record(path), png)
+        spec, streets = load_record(path)
+        return draw_intersection(spec, png, streets)
     if not (path / CMDP_FILE).is_file():
         folders = find_intersections(path)
         if len(folders) == 1:
-            return _draw_one(load_intersection(folders[0]), {}, png)
+            return draw_intersection(load_intersection(folders[0]), png)
     specs = load_specs(path)
     if all(spec.lonlat for spec in specs):
         return save_png(draw_town(specs, f"{path.resolve().name}: vehicles in the peak hour"), png)
-    specs = [with_plan(spec) for spec in specs]
     return draw_features(specs, png, title=path.resolve().name)
-
-
-def _draw_one(spec: IntersectionSpec, streets: dict[str, str], png: Path) -> Path:
-    spec = with_plan(spec)
-    return draw_intersection(spec, png, road=read_road(build_net(spec)), streets=streets)
-
-
-def with_plan(spec: IntersectionSpec) -> IntersectionSpec:
-    """Return the intersection with the plan that its net has."""
-    return spec if spec.signal_plan else dataclasses.replace(spec, signal_plan=search_plan(spec))

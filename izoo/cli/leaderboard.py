@@ -10,7 +10,7 @@ from typing import Any
 
 from izoo import __version__
 from izoo.cli.subcommands import SubcommandCommand, argument
-from izoo.console import plain, unheard
+from izoo.console import plain, survives_lost_output
 from izoo.errors import IzooError
 from izoo.files import read_text, write_text
 
@@ -39,7 +39,7 @@ def _validate(options: argparse.Namespace) -> int:
     FILES,
     argument("--out", type=Path, default=Path("leaderboard.json"), help="the leaderboard's file"),
 )
-@unheard()
+@survives_lost_output()
 def _merge(options: argparse.Namespace) -> None:
     from rich.console import Console
 
@@ -71,7 +71,7 @@ def _said(group: Mapping[str, Any]) -> list[str]:
     FILES,
     argument("--out", type=Path, default=Path("leaderboard.png"), help="the picture's file, a PNG"),
 )
-@unheard()
+@survives_lost_output()
 def _draw(options: argparse.Namespace) -> None:
     if options.out.suffix.lower() != ".png":
         raise IzooError(f"--out is {options.out}, but the picture is a PNG; give a name that ends so, such as all.png.")

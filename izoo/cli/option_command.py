@@ -17,7 +17,7 @@ from typing import Any
 
 from izoo import __version__
 from izoo.conf.quoting import quoted
-from izoo.console import exit_code, unheard
+from izoo.console import exit_code, survives_lost_output
 from izoo.errors import IzooError, unknown_choice
 from izoo.files import usable_paths
 
@@ -58,7 +58,7 @@ class OptionCommand:
         # Idle OpenMP threads would otherwise spin on the cores that the simulators need.
         os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
         os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL would announce every replay buffer
-        run = self._run if SHOW & {*words} else unheard()(self._run)
+        run = self._run if SHOW & {*words} else survives_lost_output()(self._run)
         return exit_code(self.name, lambda: run(words), self.stopped)
 
     def config_class(self) -> Any:
@@ -73,20 +73,13 @@ class OptionCommand:
         return compose_config(self.config_class(), words, defaults)
 
     def named(self, words: Sequence[str]) -> list[str]:
-        """Return words that are no flags, each as ``option=value``.
-
-        Raises:
-            IzooError: there is not one without a name for the option that is given so.
-        """
+        """Return words that are no flags, each as ``option=value``."""
         if self.place is None:
             return list(words)
-        # Folders may contain "=": what exists is a folder.
-        folders = [word for word in words if "=" not in word or os.path.exists(word)]  # noqa: PTH110 (any length)
-        given = len(folders) + sum(word.startswith(f"{self.place}=") for word in words if word not in folders)
-        if given != 1:
-            what = self.place.upper()
-            raise IzooError(f"give one folder {what}, not {given}: python -m izoo.{self.name} {what}.")
-        return [f"{self.place}={quoted(word)}" if word in folders else word for word in words]
+        words = [word if "=" in word else f"{self.place}={quoted(word)}" for word in words]
+        if sum(word.startswith(f"{self.place}=") for word in words) != 1:
+            raise IzooError(f"give one folder: python -m izoo.{self.name} {self.place.upper()}.")
+        return words
 
     @usable_paths()
     def _run(self, words: Sequence[str]) -> int:

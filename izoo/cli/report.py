@@ -7,7 +7,6 @@ from pathlib import Path
 
 from izoo.conf.report_options import ReportConfig
 from izoo.errors import IzooError
-from izoo.files import expanded
 from izoo.report import page, sweeps
 
 
@@ -17,7 +16,7 @@ def report(config: ReportConfig) -> Path:
     Raises:
         IzooError: options of the page are given for a sweep, which has none.
     """
-    folder = expanded(str(config.results))
+    folder = Path(str(config.results))
     if sweeps.is_sweep(folder):
         other = dataclasses.replace(ReportConfig(), results=config.results, imports=config.imports)
         names = [name for name, value in vars(config).items() if value != getattr(other, name)]
@@ -31,7 +30,7 @@ def report(config: ReportConfig) -> Path:
         return path
     path = page.write_report(
         folder,
-        None if config.out is None else expanded(config.out),
+        None if config.out is None else Path(config.out),
         config.title,
         task=config.task,
         replay=config.replay,

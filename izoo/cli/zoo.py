@@ -10,14 +10,14 @@ from typing import Any
 from izoo import __version__
 from izoo.cli.subcommands import SubcommandCommand, argument
 from izoo.conf.quoting import written
-from izoo.console import unheard
+from izoo.console import survives_lost_output
 from izoo.errors import IzooError
 from izoo.files import check_folder, write_text
 from izoo.zoo import catalog
 
-ELSEWHERE = ("path", "drivers", "start")
+LOCAL_PATHS = ("path", "drivers", "start")
 """Options that name a place on one machine."""
-NOT_TOLD = (
+OMITTED = (
     *("run_dir", "resume", "num_workers", "device", "logger", "checkpoint", "validation", "evaluation", "env.emit"),
 )
 """Options of a run that have no part in what was learned."""
@@ -54,7 +54,7 @@ def _show(options: argparse.Namespace) -> None:
     argument("--checkpoint", default="last", help="last, best, or a number of frames"),
     argument("--evaluation", type=Path, help="a folder of izoo.evaluate, whose figures go on the card"),
 )
-@unheard()
+@survives_lost_output()
 def _export(options: argparse.Namespace) -> None:
     """Write the policy of a run as one file, and a card with what is known of it."""
     out = options.out
@@ -110,12 +110,12 @@ def _differences(values: dict[str, Any], default: Any, prefix: str = "") -> list
     found = []
     for name, value in values.items():
         path, was = f"{prefix}{name}", default.get(name) if isinstance(default, dict) else None
-        if path in NOT_TOLD or value == was:
+        if path in OMITTED or value == was:
             continue
         if isinstance(value, dict) and isinstance(was, dict):
             found += _differences(value, was, f"{path}.")
         else:
-            found.append(shlex.quote(f"{path}={written(value, ELSEWHERE, name)}"))
+            found.append(shlex.quote(f"{path}={written(value, LOCAL_PATHS, name)}"))
     return found
 
 

@@ -49,6 +49,7 @@ class CityContexts(SourceConfig):
     cv_vehicle: Literal["paper", "human"] = "paper"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for city in [self.city] if isinstance(self.city, str) else self.city or ():
             city_name(city)
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeAlias
 from izoo.conf.built_in import CatalogueContexts, CityContexts
 from izoo.conf.folders import DatasetContexts, FolderContexts, OsmContexts
 from izoo.conf.own_traffic import SourceConfig
-from izoo.contexts.distributions import Box, Key, Uniform, Weighted, as_distribution
+from izoo.contexts.distributions import Box, Choice, Key, Uniform, as_distribution
 from izoo.contexts.procedural import (
     DEFAULTS,
     EASY,
@@ -171,7 +171,7 @@ def _setting(name: str, value: Any) -> Any:
         return [_setting(name, item) for item in value]
     try:
         if isinstance(value, Mapping):
-            return Weighted(tuple(map(_number, value)), tuple(value.values()))
+            return Choice(tuple(map(_number, value)), tuple(value.values()))
         if isinstance(value, str) and ".." in value:
             return Uniform(*map(float, value.split("..")))
     except (TypeError, ValueError) as error:
@@ -200,7 +200,7 @@ def _box(sides: Mapping[str, Any]) -> Box:
 def _side(name: str, side: Any) -> Any:
     """Read a side of a box: a value, a list of values, or an interval as ``(low, high)``."""
     value = _setting(f"exclude: {name}", side)
-    if isinstance(value, Weighted) or (isinstance(value, Uniform) and name in NAMED_VALUES):
+    if isinstance(value, Choice) or (isinstance(value, Uniform) and name in NAMED_VALUES):
         raise IzooError(f"contexts.exclude: {name} is {side!r}; give a value or a list of values.")
     if isinstance(value, Uniform):
         return value.low, value.high

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from izoo.algos.learners.registry import DRIVER_NAMES, cap_share
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
 from izoo.envs import REFERENCE, simulator_of
 from izoo.envs.config import EnvConfig
-from izoo.errors import IzooError, check_choice, check_range, check_types
+from izoo.errors import CheckedOptions, IzooError, check_choice
 from izoo.files import make_absolute
 
 DRAIN_S = 600.0
 """How long evaluated episodes are played out after their horizon, at most."""
+EPISODE_RANGES = (("num_contexts", 1, 10**7), ("seeds", 1, 10**6), ("seed", 0, 2**31 - 1), ("num_workers", 0, 1024))
 
 
 @dataclass(frozen=True)
-class EvaluateConfig:
+class EvaluateConfig(CheckedOptions):
     """Options of an evaluation.
 
     Attributes:
@@ -68,10 +69,10 @@ class EvaluateConfig:
     verbose: bool = False
     role: ClassVar[str] = "test"
     """Whose contexts of a task are meant."""
+    ranges = EPISODE_RANGES
 
     def __post_init__(self) -> None:
-        check_types("", self)
-        check_episodes(self)
+        super().__post_init__()
         simulator_of(self.simulator)
         if self.run is None and self.checkpoint != "last":
             raise IzooError(
@@ -81,15 +82,6 @@ class EvaluateConfig:
         if self.policy is not None:
             check_policy("policy", self.policy)
         make_absolute(self, "run", "out", "cache")
-
-
-def check_episodes(config: Any) -> None:
-    """Raise :class:`IzooError` where options on how many episodes are played, and by whom, are out of range."""
-    if config.num_contexts is not None:
-        check_range("num_contexts", config.num_contexts, 1, 10**7)
-    check_range("seeds", config.seeds, 1, 10**6)
-    check_range("seed", config.seed, 0, 2**31 - 1)
-    check_range("num_workers", config.num_workers, 0, 1024)
 
 
 def check_policy(what: str, policy: str) -> None:

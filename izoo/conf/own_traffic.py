@@ -9,12 +9,12 @@ from typing import Any
 from izoo.contexts.context import checked_fleet
 from izoo.contexts.population import read_population
 from izoo.contexts.source import ContextSource, with_changes
-from izoo.errors import IzooError, check_types
+from izoo.errors import CheckedOptions, IzooError
 from izoo.files import make_absolute
 
 
 @dataclass(frozen=True)
-class SourceConfig:
+class SourceConfig(CheckedOptions):
     """A choice of contexts.
 
     Attributes:
@@ -27,9 +27,10 @@ class SourceConfig:
     name: str = ""
     drivers: str | None = None
     fleet: list[float] | None = None
+    group = "contexts"
 
     def __post_init__(self) -> None:
-        check_types("contexts", self)
+        super().__post_init__()
         try:
             if self.fleet is not None:
                 checked_fleet(self.fleet)

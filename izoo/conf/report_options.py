@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from izoo.errors import check_types
+from izoo.errors import CheckedOptions
+from izoo.files import make_absolute
 
 
 @dataclass(frozen=True)
-class ReportConfig:
+class ReportConfig(CheckedOptions):
     """Options of a report.
 
     Attributes:
@@ -35,4 +36,5 @@ class ReportConfig:
     partial: bool = False
 
     def __post_init__(self) -> None:
-        check_types("", self)
+        super().__post_init__()
+        make_absolute(self, "results", "out")

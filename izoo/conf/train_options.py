@@ -13,7 +13,7 @@ from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.envs import REFERENCE, simulator_of
 from izoo.envs.config import SPEED, STEP, EnvConfig
-from izoo.errors import IzooError, check_range, check_types
+from izoo.errors import CheckedOptions, IzooError, Ranges
 from izoo.files import make_absolute
 
 TWIN_ENVS = 64
@@ -27,7 +27,7 @@ CHANGEABLE = (
 
 
 @dataclass(frozen=True)
-class CollectorConfig:
+class CollectorConfig(CheckedOptions):
     """How environments are stepped.
 
     Attributes:
@@ -37,13 +37,11 @@ class CollectorConfig:
     """
 
     name: Literal["parallel", "single", "multisync", "ray"] = "parallel"
-
-    def __post_init__(self) -> None:
-        check_types("collector", self)
+    group = "collector"
 
 
 @dataclass(frozen=True)
-class TwinConfig:
+class TwinConfig(CheckedOptions):
     """How the twin runs; of no concern on SUMO.
 
     Attributes:
@@ -54,11 +52,8 @@ class TwinConfig:
 
     threads: int | None = None
     surrogate: Literal["torch", "cuda", "compiled"] = "torch"
-
-    def __post_init__(self) -> None:
-        check_types("twin", self)
-        if self.threads is not None:
-            check_range("twin.threads", self.threads, 1, 1024)
+    group = "twin"
+    ranges = (("threads", 1, 1024),)
 
 
 @dataclass(frozen=True)
@@ -75,14 +70,11 @@ class TrainingTwinConfig(TwinConfig):
 
     stagger: bool = True
     compare_every: int = 8
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_range("twin.compare_every", self.compare_every, 0, 10**6)
+    ranges = (("compare_every", 0, 10**6),)
 
 
 @dataclass(frozen=True)
-class LevelsConfig:
+class LevelsConfig(CheckedOptions):
     """Which contexts are played in training; a level is a context with the seed of its episode.
 
     "PLR" is arXiv 2010.03934.
@@ -106,17 +98,12 @@ class LevelsConfig:
     score: Literal["magnitude", "positive"] = "magnitude"
     temperature: float = 0.1
     staleness: float = 0.1
-
-    def __post_init__(self) -> None:
-        check_types("levels", self)
-        for name in ("share", "staleness"):
-            check_range(f"levels.{name}", getattr(self, name), 0.0, 1.0)
-        check_range("levels.kept", self.kept, 1, 10**6)
-        check_range("levels.temperature", self.temperature, 0.01, 100.0)
+    group = "levels"
+    ranges = (("share staleness", 0.0, 1.0), ("kept", 1, 10**6), ("temperature", 0.01, 100.0))
 
 
 @dataclass(frozen=True)
-class LoggerConfig:
+class LoggerConfig(CheckedOptions):
     """Where metrics go besides ``metrics.csv``, which is always written.
 
     Attributes:
@@ -126,13 +113,11 @@ class LoggerConfig:
 
     name: Literal["csv", "wandb", "tensorboard"] = "csv"
     project: str = "izoo"
-
-    def __post_init__(self) -> None:
-        check_types("logger", self)
+    group = "logger"
 
 
 @dataclass(frozen=True)
-class CheckpointConfig:
+class CheckpointConfig(CheckedOptions):
     """When the state of a run is saved.
 
     Attributes:
@@ -142,15 +127,12 @@ class CheckpointConfig:
 
     every_batches: int = 5
     keep: int = 3
-
-    def __post_init__(self) -> None:
-        check_types("checkpoint", self)
-        check_range("checkpoint.every_batches", self.every_batches, 1, 10**9)
-        check_range("checkpoint.keep", self.keep, 1, 10**6)
+    group = "checkpoint"
+    ranges = (("every_batches", 1, 10**9), ("keep", 1, 10**6))
 
 
 @dataclass(frozen=True)
-class ValidationConfig:
+class ValidationConfig(CheckedOptions):
     """The comparison with human driving, on held-out contexts, that runs beside training and chooses the best weights.
 
     Contexts and episodes are the same for every run with the same ``contexts``, whatever its seed.
@@ -169,17 +151,16 @@ class ValidationConfig:
     contexts: int = 8
     seeds: int = 3
     simulator: str = REFERENCE
+    group = "validation"
+    ranges = (("every_batches", 0, 10**9), ("contexts seeds", 1, 10**6))
 
     def __post_init__(self) -> None:
-        check_types("validation", self)
+        super().__post_init__()
         simulator_of(self.simulator, "validation.simulator")
-        check_range("validation.every_batches", self.every_batches, 0, 10**9)
-        check_range("validation.contexts", self.contexts, 1, 10**6)
-        check_range("validation.seeds", self.seeds, 1, 10**6)
 
 
 @dataclass(frozen=True)
-class BriefEvaluationConfig:
+class BriefEvaluationConfig(CheckedOptions):
     """The comparison with human driving that ends a training run, in episodes as long as those of training.
 
     Attributes:
@@ -189,15 +170,12 @@ class BriefEvaluationConfig:
 
     contexts: int = 2
     seeds: int = 3
-
-    def __post_init__(self) -> None:
-        check_types("evaluation", self)
-        check_range("evaluation.contexts", self.contexts, 0, 10**6)
-        check_range("evaluation.seeds", self.seeds, 1, 10**6)
+    group = "evaluation"
+    ranges = (("contexts", 0, 10**6), ("seeds", 1, 10**6))
 
 
 @dataclass(frozen=True)
-class RolloutConfig:
+class RolloutConfig(CheckedOptions):
     """Where environments are stepped, and how many.
 
     Attributes:
@@ -211,16 +189,12 @@ class RolloutConfig:
     seed: int = 0
     num_workers: int = 2
     num_envs: int | None = None
+    ranges: ClassVar[Ranges] = (("seed", 0, 2**31 - 1), ("num_workers", 1, 1024), ("num_envs", 1, MAX_ENVS))
 
     def __post_init__(self) -> None:
-        check_types("", self)
-        check_range("seed", self.seed, 0, 2**31 - 1)
-        check_range("num_workers", self.num_workers, 1, 1024)
+        super().__post_init__()
         chosen = simulator_of(self.simulator)
-        if self.num_envs is None:
-            return
-        check_range("num_envs", self.num_envs, 1, MAX_ENVS)
-        if not chosen.batched:
+        if self.num_envs is not None and not chosen.batched:
             raise IzooError(
                 f"num_envs is {self.num_envs}, but on {chosen.label} every environment is a process: set num_workers, "
                 "or choose simulator=twin."
@@ -292,6 +266,7 @@ class TrainConfig(RolloutConfig):
     resume: str | None = None
     role: ClassVar[str] = "train"
     """Whose contexts of a task are meant."""
+    ranges = (("total_frames", 1, 10**12),)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -301,7 +276,6 @@ class TrainConfig(RolloutConfig):
                 f"collector={self.collector.name} is a way to step environments in processes; with simulator="
                 f"{self.simulator} leave collector out, and set num_envs."
             )
-        check_range("total_frames", self.total_frames, 1, 10**12)
         self._fit_action()
         self.algo.check_run(self)
         for group in self.algo.emits:
@@ -370,9 +344,8 @@ class CollectConfig(RolloutConfig):
     env: EnvConfig = field(default_factory=training_env)
     shard_frames: int = 100_000
     twin: TwinConfig = field(default_factory=TwinConfig)
+    ranges = (("frames", 1, 10**12), ("shard_frames", 1, 10**9))
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_range("frames", self.frames, 1, 10**12)
-        check_range("shard_frames", self.shard_frames, 1, 10**9)
         make_absolute(self, "out")

@@ -6,7 +6,9 @@ them: it filters and counts by arithmetic and builds a context only when it is a
 
 from __future__ import annotations
 
+import bisect
 import functools
+import itertools
 from collections.abc import Iterable, Sequence
 from numbers import Real
 from typing import Any, Literal, NamedTuple
@@ -30,6 +32,7 @@ PER_INTERSECTION = 80
 """Scenarios per intersection: 4 seasons x 5 adoption levels x 2 hours x 2 engines."""
 INTERSECTIONS = sum(SIZES.values())
 SIZE = INTERSECTIONS * PER_INTERSECTION
+_SHAPE = (INTERSECTIONS, *map(len, _LEVELS))
 APPROACHES = ("all", "one")
 WEATHERS = ("county", "published")
 
@@ -50,12 +53,12 @@ def find_id(city: str, intersection: int, season: str, adoption: float, hour: st
     city = city_name(city)
     if not 0 <= intersection < SIZES[city]:
         raise IzooError(f"intersection {intersection} of {city} does not exist; legal: 0 to {SIZES[city] - 1}.")
-    number = sum(SIZES[name] for name in CITIES[: CITIES.index(city)]) + intersection
-    names = ("season", "adoption level", "hour", "engine")
-    for name, value, legal in zip(names, (season, adoption, hour, engine), _LEVELS, strict=True):
+    values, digits = (season, adoption, hour, engine), []
+    for name, value, legal in zip(("season", "adoption level", "hour", "engine"), values, _LEVELS, strict=True):
         check_choice(name, value, legal)
-        number = number * len(legal) + legal.index(value)
-    return number
+        digits.append(legal.index(value))
+    place = sum(SIZES[name] for name in CITIES[: CITIES.index(city)]) + intersection
+    return int(np.ravel_multi_index((place, *digits), _SHAPE))
 
 
 def describe(context_id: int) -> Scenario:
@@ -64,16 +67,11 @@ def describe(context_id: int) -> Scenario:
         raise IzooError(
             f"context id {plain_number(context_id)!r} does not exist; ids are integers from 0 to {SIZE - 1}."
         )
-    number = int(context_id)
-    values = []
-    for legal in reversed(_LEVELS):
-        number, digit = divmod(number, len(legal))
-        values.append(legal[digit])
-    for city, size in SIZES.items():
-        if number < size:
-            return Scenario(city, number, *reversed(values))
-        number -= size
-    raise AssertionError("unreachable: the id was checked")
+    place, *digits = map(int, np.unravel_index(int(context_id), _SHAPE))
+    ends = list(itertools.accumulate(SIZES.values()))
+    which = bisect.bisect_right(ends, place)
+    intersection = place - ends[which] + SIZES[CITIES[which]]
+    return Scenario(CITIES[which], intersection, *(legal[k] for legal, k in zip(_LEVELS, digits, strict=True)))
 
 
 def get(context_id: int) -> Context:
@@ -191,14 +189,12 @@ class Scenarios(Lazy[Context]):
         first = int(self._ends[place - 1]) if place else 0
         within = number - first * self._per_place
         within, leg = divmod(within, int(self._ends[place]) - first)
-        values = []
-        for level in reversed(self._levels):
-            within, digit = divmod(within, len(level))
-            values.append(level[digit])
+        digits = np.unravel_index(within, [len(level) for level in self._levels])
+        values = (level[digit] for level, digit in zip(self._levels, digits, strict=True))
         which = int(np.searchsorted(self._city_ends, place, side="right"))
         city = self.cities[which]
         intersection = int(self._places[which][place - (int(self._city_ends[which - 1]) if which else 0)])
-        scenario = Scenario(city, intersection, *reversed(values))
+        scenario = Scenario(city, intersection, *values)
         return scenario, None if self.approaches == "all" else _incoming(city, intersection)[leg]
 
 

@@ -115,8 +115,8 @@ class Context:
     def content_hash(self) -> str:
         """SHA-256 over every field but ``context_id``, the place of the net file and that of the intersection.
 
-        The built-in drivers and fleet are left out, so that contexts keep the hash they had before these could be
-        chosen.
+        The built-in drivers and fleet, and exit counts where there are none, are left out, so that contexts keep the
+        hash they had before these could be chosen.
         """
         fields = dataclasses.asdict(self)
         fields.pop("context_id")
@@ -125,4 +125,7 @@ class Context:
                 fields.pop(name)
         for name in ("net_path", "lonlat"):
             fields["intersection"].pop(name)
+        for leg in fields["intersection"]["legs"]:
+            if leg["approach"] and not leg["approach"]["exit_counts"]:
+                leg["approach"].pop("exit_counts")
         return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()

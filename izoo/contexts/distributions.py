@@ -42,51 +42,35 @@ class Fixed:
 
 @dataclass(frozen=True)
 class Choice:
-    """One of ``values``, each equally likely."""
+    """One of ``values``: each equally likely, or with ``probabilities``, which sum to 1."""
 
     values: tuple[Any, ...]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "values", tuple(self.values))
-        if not self.values:
-            raise IzooError("a list of feature values is empty; give at least one value.")
-
-    @property
-    def support(self) -> tuple[Any, ...]:
-        """The values, in the order given."""
-        return self.values
-
-    def sample(self, generator: np.random.Generator) -> Any:
-        """Draw one value."""
-        return self.values[int(generator.integers(len(self.values)))]
-
-
-@dataclass(frozen=True)
-class Weighted:
-    """One of ``values`` with the given ``probabilities``, which sum to 1."""
-
-    values: tuple[Any, ...]
-    probabilities: tuple[float, ...]
+    probabilities: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", tuple(self.values))
         object.__setattr__(self, "probabilities", tuple(float(p) for p in self.probabilities))
-        if not self.values or len(self.values) != len(self.probabilities):
+        if not self.values:
+            raise IzooError("a list of feature values is empty; give at least one value.")
+        if self.probabilities and len(self.values) != len(self.probabilities):
             counts = f"{len(self.values)} values have {len(self.probabilities)} probabilities"
-            raise IzooError(f"{counts}; give one probability per value, and at least one value.")
+            raise IzooError(f"{counts}; give one probability per value.")
         if not all(0.0 <= p <= 1.0 for p in self.probabilities):
             raise IzooError(f"probabilities are {list(self.probabilities)}; each must lie in [0, 1].")
         total = math.fsum(self.probabilities)
-        if abs(total - 1.0) > PROBABILITY_TOLERANCE:
+        if self.probabilities and abs(total - 1.0) > PROBABILITY_TOLERANCE:
             raise IzooError(f"probabilities sum to {total:g}; they must sum to 1 (within {PROBABILITY_TOLERANCE:g}).")
 
     @property
     def support(self) -> tuple[Any, ...]:
-        """The values whose probability is not 0."""
-        return tuple(value for value, p in zip(self.values, self.probabilities, strict=True) if p > 0.0)
+        """The values whose probability is not 0, in the order given."""
+        chances = self.probabilities or (1.0,) * len(self.values)
+        return tuple(value for value, p in zip(self.values, chances, strict=True) if p > 0.0)
 
     def sample(self, generator: np.random.Generator) -> Any:
         """Draw one value."""
+        if not self.probabilities:
+            return self.values[int(generator.integers(len(self.values)))]
         edges = np.cumsum(self.probabilities)
         index = int(np.searchsorted(edges, generator.random() * edges[-1], side="right"))
         return self.values[min(index, len(self.values) - 1)]
@@ -115,16 +99,14 @@ class Uniform:
         return self.low + (self.high - self.low) * float(generator.random())
 
 
-Distribution: TypeAlias = Fixed | Choice | Weighted | Uniform
+Distribution: TypeAlias = Fixed | Choice | Uniform
 
 
 def as_distribution(value: Any) -> Distribution:
     """Read a feature's setting: a distribution as it is, a list as :class:`Choice`, anything else as :class:`Fixed`."""
-    if isinstance(value, (Fixed, Choice, Weighted, Uniform)):
+    if isinstance(value, Distribution):
         return value
-    if isinstance(value, list):
-        return Choice(tuple(value))
-    return Fixed(value)
+    return Choice(tuple(value)) if isinstance(value, list) else Fixed(value)
 
 
 @dataclass(frozen=True)
@@ -241,11 +223,9 @@ class Product:
         return tuple(len(distribution.support) for distribution in self.features.values())
 
     def _point(self, flat: int) -> dict[str, Any]:
-        values = {}
-        for key, distribution in reversed(list(self.features.items())):
-            flat, digit = divmod(flat, len(distribution.support))
-            values[key] = distribution.support[digit]
-        return _flatten({key: values[key] for key in self.features})
+        digits = np.unravel_index(flat, self._shape())
+        drawn = zip(self.features.items(), digits, strict=True)
+        return _flatten({key: distribution.support[digit] for (key, distribution), digit in drawn})
 
     def _kept_indices(self) -> np.ndarray:
         count = math.prod(self._shape())

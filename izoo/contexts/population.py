@@ -76,20 +76,13 @@ def read_population(path: str | Path) -> DriverPopulation:
     path = Path(path)
     try:
         content = json.loads(read_text(path, MAX_FILE_BYTES))
-    except OSError as error:
-        raise IzooError(
-            f"cannot read the drivers {path}: {error.strerror}; give a file that `calibrate` wrote."
-        ) from None
-    except (ValueError, RecursionError):
-        raise IzooError(f"{path} is not JSON; give a file that `python -m izoo.drivers calibrate` wrote.") from None
-    try:
         classes = [content["classes"][name] for name in DRIVER_CLASSES]
         means, covariances = (tuple(entry[key] for entry in classes) for key in ("log_mean", "log_cov"))
         converged = content.get("converged", True)
-    except (KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else f"it holds no drivers ({error!r})"
         raise IzooError(
-            f"{path} holds no drivers: it needs log_mean and log_cov of the classes {' and '.join(DRIVER_CLASSES)}; "
-            "give a file that `python -m izoo.drivers calibrate` wrote."
+            f"cannot read the drivers {path}: {reason}; give a file that `python -m izoo.drivers calibrate` wrote."
         ) from None
     if converged is not True:
         raise IzooError(f"the calibration that wrote {path} did not converge; calibrate again with more draws.")

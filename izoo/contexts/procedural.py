@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -22,36 +23,12 @@ STRAIGHT_SOURCE_M = 246.0
 MAX_LANES = 4
 PHASE_COUNTS = (1, 2)
 
-DEFAULTS: dict[str, Any] = {
-    "lane_count": 1,
-    "phase_count": 1,
-    "inflow_vph_per_lane": 250.0,
-    "green_s": 26.0,
-    "red_s": 26.0,
-    "lane_length_m": 300.0,
-    "speed_limit_mps": 16.0,
-    "offset_s": 0.0,
-    "grade": 0.0,
-    "adoption": 1.0 / 3.0,
-    "temperature_c": 20.0,
-    "humidity_pct": 46.0,
-    "engine": "combustion",
-    "cv_vehicle": "paper",
-    "approach": "A",
-}
-"""Every feature of a procedural context with the value it has when nothing is said: an easy, one-lane context with the
-published Salt Lake City weather and demand from leg A alone. ``inflow_vph_per_lane`` is the peak inflow."""
-
 NAMED_VALUES: dict[str, tuple[Any, ...]] = {
     "phase_count": PHASE_COUNTS,
     "engine": ENGINES,
     "cv_vehicle": CV_VEHICLES,
     "approach": (*LEGS, "all"),
 }
-_SPEC_FEATURES = (
-    *("lane_count", "phase_count", "inflow_vph_per_lane", "green_s", "red_s"),
-    *("lane_length_m", "speed_limit_mps", "offset_s", "grade"),
-)
 
 
 def signal_plan(phase_count: int, green_s: float, red_s: float) -> SignalPlan:
@@ -128,22 +105,25 @@ def procedural_intersection(
     return IntersectionSpec(name, "procedural", legs, plan, ghosts)
 
 
+_SPEC_FEATURES = inspect.signature(procedural_intersection).parameters
+DEFAULTS: dict[str, Any] = {
+    **{name: feature.default for name, feature in _SPEC_FEATURES.items()},
+    **{"adoption": 1.0 / 3.0, "temperature_c": 20.0, "humidity_pct": 46.0},
+    **{"engine": "combustion", "cv_vehicle": "paper", "approach": "A"},
+}
+"""Every feature of a procedural context with the value it has when nothing is said: an easy, one-lane context with the
+published Salt Lake City weather and demand from leg A alone. ``inflow_vph_per_lane`` is the peak inflow."""
+
+
 def procedural_context(**values: Any) -> Context:
     """Build one procedural context; features that are not named take their value in :data:`DEFAULTS`."""
     for name in values:
         if name not in DEFAULTS:
             raise unknown_choice("procedural feature", name, DEFAULTS)
     point = {**DEFAULTS, **values}
-    return Context(
-        intersection=procedural_intersection(**{name: point[name] for name in _SPEC_FEATURES}),
-        approach=None if point["approach"] == "all" else point["approach"],
-        adoption=point["adoption"],
-        season=None,
-        engine=point["engine"],
-        temperature_c=point["temperature_c"],
-        humidity_pct=point["humidity_pct"],
-        cv_vehicle=point["cv_vehicle"],
-    )
+    spec = procedural_intersection(**{name: point.pop(name) for name in _SPEC_FEATURES})
+    approach = None if point["approach"] == "all" else point["approach"]
+    return Context(spec, season=None, **{**point, "approach": approach})
 
 
 class ProceduralSource:

@@ -42,8 +42,8 @@ class Approach:
         aadt_per_lane: annual average daily traffic per main lane, veh/day; 0 means no demand.
         right_pockets, left_pockets: how many of ``lanes``, from the right and from the left, exist only in the pocket.
         pocket_length_m: length of the part with the pocket lanes; 0 when there are none.
-
-    With ``exit_counts`` among its arguments, what is made is a :class:`CountedApproach`.
+        exit_counts: ``(leg, vehicles)`` of the exits that traffic takes, in any unit; empty: by rule
+            (:mod:`izoo.networks.turning`).
     """
 
     lanes: tuple[str, ...]
@@ -54,10 +54,7 @@ class Approach:
     right_pockets: int = 0
     left_pockets: int = 0
     pocket_length_m: float = 0.0
-
-    def __new__(cls, *_: Any, **fields: Any) -> Approach:
-        """Make what the fields of an approach describe, counted or not, as they are read from a file."""
-        return object.__new__(CountedApproach if "exit_counts" in fields else cls)
+    exit_counts: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         hold_floats(self)
@@ -69,6 +66,11 @@ class Approach:
         check_range("speed limit", self.speed_limit_mps, 1.0, 60.0, "m/s")
         check_range("grade", self.grade, -0.35, 0.35)
         check_range("AADT per lane", self.aadt_per_lane, 0.0, 1e6, "veh/day")
+        object.__setattr__(self, "exit_counts", tuple((str(leg), float(count)) for leg, count in self.exit_counts))
+        for _, count in self.exit_counts:
+            check_range("a count of vehicles to an exit", count, 0.0, 1e6)
+        if self.exit_counts and not any(count for _, count in self.exit_counts):
+            raise IzooError(f"exit counts are {dict(self.exit_counts)}; give a vehicle for one exit, or no counts.")
 
     @property
     def lane_count(self) -> int:
@@ -79,27 +81,6 @@ class Approach:
     def main_lane_count(self) -> int:
         """Lanes that exist over the whole approach."""
         return len(self.lanes) - self.right_pockets - self.left_pockets
-
-
-@dataclass(frozen=True)
-class CountedApproach(Approach):
-    """An approach whose traffic takes exits as counted, and not by rule (:mod:`izoo.networks.turning`).
-
-    A class of its own, so that approaches without counts are, and hash as, what they always were.
-
-    Attributes:
-        exit_counts: ``(leg, vehicles)`` of the exits that traffic takes, in any unit.
-    """
-
-    exit_counts: tuple[tuple[str, float], ...] = ()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        object.__setattr__(self, "exit_counts", tuple((str(leg), float(count)) for leg, count in self.exit_counts))
-        for _, count in self.exit_counts:
-            check_range("a count of vehicles to an exit", count, 0.0, 1e6)
-        if not sum(count for _, count in self.exit_counts) > 0.0:
-            raise IzooError(f"exit counts are {dict(self.exit_counts)}; give a vehicle for one exit, or no counts.")
 
 
 @dataclass(frozen=True)

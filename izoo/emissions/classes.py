@@ -1,7 +1,9 @@
-"""The vehicle classes of the MOVES surrogates, as a stable integer index."""
+"""The vehicle classes of the MOVES surrogates, as a stable integer index, and MOVES default tables."""
 
 from __future__ import annotations
 
+import csv
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -55,3 +57,12 @@ def moves_class_index(model_year: ArrayLike, source_type: ArrayLike, fuel: Array
             "(no diesel motorcycles)."
         )
     return index[()]
+
+
+DATA = Path(__file__).parent / "data"
+
+
+def read_moves_table(name: str) -> list[dict[str, str]]:
+    """Return the rows of ``data/<name>.csv``; values are strings as in the file."""
+    with (DATA / f"{name}.csv").open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from izoo.emissions.tables import DATA
+from izoo.emissions.classes import DATA
 
 INPUTS = 5
 HIDDEN = 64

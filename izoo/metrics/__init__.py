@@ -5,7 +5,6 @@
 - :mod:`~izoo.metrics.statistics`: the headline with its interval, differences, corrections.
 - :mod:`~izoo.metrics.summary`: what a table says, and a verdict.
 - :mod:`~izoo.metrics.paper_form`: the measure of the published figures.
-- :mod:`~izoo.metrics.student`: Student's t.
 """
 
 REFERENCE = "sumo"

@@ -20,6 +20,7 @@ Precipice" (NeurIPS 2021). Means, medians and shares have no intervals here.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -29,7 +30,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from izoo.errors import IzooError
-from izoo.metrics.student import student_t_below, student_t_quantile
 
 Array = NDArray[np.float64]
 
@@ -252,3 +252,31 @@ def _interval(value: float, parts: Sequence[Part], places: int, *seeds: int) -> 
     few = any(1 < count < MIN_TRAIN_SEEDS for count in seeds)
     over = INTERSECTIONS if few or len(parts) == 1 else INTERSECTIONS_AND_SEEDS
     return Estimate(value, value - half, value + half, over, p)
+
+
+def student_t_below(t: float, degrees: int) -> float:
+    """Probability that Student's t with ``degrees`` (an integer of 1 or more) lies below ``t``.
+
+    The finite series of Abramowitz and Stegun 26.7.3 and 26.7.4, exact for integer degrees of freedom.
+    """
+    theta = math.atan2(t, math.sqrt(degrees))
+    cos2 = math.cos(theta) ** 2
+    odd = degrees % 2 == 1
+    term, total = 1.0, 0.0
+    for k in range(degrees // 2):
+        total += term
+        term *= cos2 * ((2 * k + 2) / (2 * k + 3) if odd else (2 * k + 1) / (2 * k + 2))
+    inside = 2.0 / math.pi * (theta + math.sin(theta) * math.cos(theta) * total) if odd else math.sin(theta) * total
+    return min(max(0.5 * (1.0 + inside), 0.0), 1.0)  # sums may round beyond
+
+
+@functools.cache
+def student_t_quantile(below: float, degrees: int) -> float:
+    """Value that Student's t with ``degrees`` lies below with probability ``below``, which is at least one half."""
+    low, high = 0.0, 1.0
+    while student_t_below(high, degrees) < below:
+        high *= 2.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if student_t_below(middle, degrees) < below else (low, middle)
+    return high

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Mapping
@@ -11,10 +12,10 @@ import numpy as np
 import pandas as pd
 
 from izoo.errors import IzooError
-from izoo.metrics.episode_seeds import EPISODE_SEEDS, over_episode_seeds
 from izoo.metrics.figures import FIGURES, HEADLINE
 from izoo.metrics.pairing import (
     BASELINES,
+    CONTEXT,
     HUMAN,
     UNCOMMANDED,
     Paired,
@@ -26,6 +27,7 @@ from izoo.metrics.pairing import (
     simulators,
 )
 from izoo.metrics.statistics import (
+    CONFIDENCE,
     MIN_INTERSECTIONS,
     SIGNIFICANCE,
     Estimate,
@@ -34,6 +36,9 @@ from izoo.metrics.statistics import (
     holm,
     pooled,
     separate_difference,
+    student_t_below,
+    student_t_quantile,
+    typical,
 )
 
 BLOCKS = ("unsaturated", "saturated", "all")
@@ -284,8 +289,8 @@ def _pairwise(pairs: Pairs, block: str, reference: str | None) -> list[Summary]:
 def _gaps(test: Pairs, training: Pairs, block: str) -> Summary:
     """By entry, the CO2 saved on training contexts, and how much more that is than on test contexts (points)."""
     found = {}
-    for name in test.keys() & training.keys() - set(BASELINES):
-        if not (test[name] and training[name]):
+    for name in test:
+        if name in BASELINES or not (test[name] and training.get(name)):
             continue
         sides = [next(iter(pairs[name].values())) for pairs in (training, test)]
         (there, _), (here, _) = (by_intersection(*_saved(paired, block)) for paired in sides)
@@ -347,3 +352,47 @@ def _reduced(statistic: Any, values: Any) -> float | None:
 
 def _plain(value: float) -> float | None:
     return value if math.isfinite(value) else None
+
+
+EPISODE_SEEDS = "episode seeds"
+MIN_EPISODE_SEEDS = 5
+"""With fewer, no interval is given."""
+
+
+def over_episode_seeds(table: pd.DataFrame, policy: str, baseline: str, found: dict[str, Estimate]) -> None:
+    """Give estimates of a single intersection intervals over its episode seeds: there are no other intersections.
+
+    They answer: what if other traffic had come to this very intersection, under these very weights? The figure is
+    computed anew without each episode seed, of policy and baseline at once (the jackknife over paired seeds), and the
+    interval is Student's. Of a difference of means it is the paired t interval.
+
+    Nothing is changed where there are fewer than :data:`MIN_EPISODE_SEEDS`, or where contexts and training seeds were
+    not all played with the same ones.
+
+    Args:
+        table: rows of that intersection, of one simulator.
+        policy, baseline: whose figures are compared.
+        found: estimates by figure; changed.
+    """
+    seeds = table.loc[table["policy"] == policy].groupby(CONTEXT)["seed"].agg(frozenset)
+    every = sorted(seeds.iloc[0])
+    if len(every) < MIN_EPISODE_SEEDS or seeds.nunique() > 1:
+        return
+    without = [pair(table[table["seed"] != seed], policy, baseline) for seed in every]
+    for name, whole in found.items():
+        figure, own = FIGURES[name], []
+        for left in without:
+            value = by_intersection(left.contexts, figure.value(left.own, left.baseline))[0]
+            own.append(float(typical(value)) if value.size else math.nan)
+        count = len(own)
+        spread = math.sqrt((count - 1) * float(np.var(own)))
+        if not spread > 0.0:
+            continue
+        half = student_t_quantile(0.5 + 0.5 * CONFIDENCE, count - 1) * spread
+        found[name] = dataclasses.replace(
+            whole,
+            low=whole.value - half,
+            high=whole.value + half,
+            p=2.0 * student_t_below(-abs(whole.value) / spread, count - 1),
+            over=EPISODE_SEEDS,
+        )

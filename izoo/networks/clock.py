@@ -99,19 +99,8 @@ def make_clock(
     change, second, third = np.array(rows, float).reshape(*colour.shape, 3).transpose(3, 0, 1, 2)
     green_s = ((colour == GREEN) * duration_s).sum(axis=-1)
     cycle_s = float(duration_s.sum())
-    return SignalClock(
-        cycle_s=cycle_s,
-        offset_s=offset_s,
-        phase_begin_s=begin,
-        colour=colour,
-        permissive=permissive,
-        legal_on_red=legal_on_red,
-        change_s=change,
-        second_green_s=second,
-        third_green_s=third,
-        green_s=green_s,
-        red_s=cycle_s - green_s,
-    )
+    shown, times = (colour, permissive, legal_on_red), (change, second, third)
+    return SignalClock(cycle_s, offset_s, begin, *shown, *times, green_s, cycle_s - green_s)
 
 
 def _look_ahead(colour: list[int], duration_s: list[float]) -> list[tuple[float, float, float]]:

@@ -6,6 +6,7 @@ know stands in :mod:`izoo.envs.twin.net.supported`.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -28,19 +29,16 @@ def check_representable(root: Any, path: str) -> None:
     Raises:
         IzooError: it has a feature that cannot be represented; the message names the first, and the remedy.
     """
-    for features in (_sides, _programs, _uncontrolled):
-        for feature, remedy in features(root):
-            raise IzooError(f"{path}: {feature}; {remedy}.")
+    for feature, remedy in itertools.chain(_sides(root), _programs(root), _uncontrolled(root)):
+        raise IzooError(f"{path}: {feature}; {remedy}.")
 
 
 def main_program(root: Any, path: str) -> Any:
     """Return the program of the main signal, with its phases: of several the last, which SUMO plays.
 
     Raises:
-        IzooError: there is none, or it is not a fixed-time program in letters that can be represented.
+        IzooError: there is none.
     """
-    for feature, remedy in _programs(root):
-        raise IzooError(f"{path}: {feature}; {remedy}.")
     found = [logic for logic in root.findall("tlLogic") if logic.get("id") == MAIN]
     if not found or not found[-1].findall("phase"):
         raise IzooError(

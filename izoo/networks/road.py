@@ -29,6 +29,11 @@ from izoo.networks.turning import LEFT, RIGHT, STRAIGHT
 
 APPROACHING, INSIDE, LEAVING = 0, 1, 2
 TURN_OF_DIRECTION = {"r": RIGHT, "R": RIGHT, "s": STRAIGHT, "l": LEFT, "L": LEFT, "t": LEFT}
+_LANE_COLUMNS: dict[str, Any] = {
+    **{"lane_location": np.int8, "lane_edge": np.int32, "lane_index": np.int32, "lane_siblings": np.int32},
+    **{"lane_length": np.float64, "lane_limit_mps": np.float64, "lane_approach": np.int32, "lane_exit": np.int32},
+    **{"lane_offset_m": np.float64, "inside_length_m": np.float64},
+}
 _REGION_EDGE = re.compile(r"([A-Z])2TL(?:_intern)?|TL2([A-Z])")
 
 
@@ -132,7 +137,7 @@ def _read_road(path: str, _stamp: int) -> RoadNet:
     root = parse_net(data, path)
     check_representable(root, path)
     try:
-        return _Reader(root, path, hashlib.sha256(data).hexdigest()).read()
+        return NetReader(root, path, hashlib.sha256(data).hexdigest()).read()
     except IzooError:
         raise
     except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
@@ -151,8 +156,8 @@ def parse_net(data: bytes, path: str | Path) -> Any:
     return root
 
 
-class _Reader:
-    """Working tables of one read; only :meth:`read` is called from outside."""
+class NetReader:
+    """Working tables of one read."""
 
     def __init__(self, root: Any, path: str, sha256: str) -> None:
         self.root, self.path, self.sha256 = root, path, sha256
@@ -181,13 +186,9 @@ class _Reader:
             self._add_edge(f"TL2{leg}", LEAVING, -1, q)
         turn, links = self._walk_movements()
         self._walk_splits()
-        next_lane, prev_lane = self._successors()
         self._approach_offsets()
         first = [self.edges[edges[0]] for edges in self.incoming]
-        last = [self.edges[edges[-1]] for edges in self.incoming]
-        segments = self._segments()
-        column = self._column
-        right, left = self._neighbours()
+        sources = [self._sources(leg) for leg in self.approaches]
         return RoadNet(
             path=self.path,
             sha256=self.sha256,
@@ -195,70 +196,37 @@ class _Reader:
             exits=self.exits,
             incoming_edges=self.incoming,
             outgoing_edge=tuple(f"TL2{leg}" for leg in self.exits),
-            sources=tuple(self._sources(leg) for leg in self.approaches),
+            sources=tuple(sources),
             source_lanes=tuple(
-                {kind: tuple(map(lane_number, self.edges[edge])) for kind, edge in self._sources(leg).items()}
-                for leg in self.approaches
+                {kind: tuple(map(lane_number, self.edges[edge])) for kind, edge in of.items()} for of in sources
             ),
             source_length_m=tuple(
-                {kind: float(self.edges[edge][0].get("length")) for kind, edge in self._sources(leg).items()}
-                for leg in self.approaches
+                {kind: float(self.edges[edge][0].get("length")) for kind, edge in of.items()} for of in sources
             ),
             main_lane_count=np.array([len(lanes) for lanes in first]),
-            lane_count=np.array([len(lanes) for lanes in last]),
-            lane_length_m=np.array([-self.rows[self.lanes[lanes[0].get("id")]]["offset"] for lanes in first]),
+            lane_count=np.array([len(self.edges[edges[-1]]) for edges in self.incoming]),
+            lane_length_m=np.array([-self.rows[self.lanes[lanes[0].get("id")]]["lane_offset_m"] for lanes in first]),
             speed_limit_mps=np.array([float(lanes[0].get("speed")) for lanes in first]),
             grade=np.array([self._grade(lanes[0]) for lanes in first]),
             movement_turn=turn,
             movement_links=links,
-            clock=read_clock(self.root, self._movement_links(), self.path),
+            clock=read_clock(self.root, self.signal_links(), self.path),
             lane_ids=tuple(self.lanes),
-            lane_location=column("location", np.int8),
-            lane_edge=column("edge", np.int32),
-            lane_index=column("index", np.int32),
-            lane_siblings=column("siblings", np.int32),
-            lane_length=column("length", np.float64),
-            lane_limit_mps=column("limit", np.float64),
-            lane_approach=column("approach", np.int32),
-            lane_exit=column("exit", np.int32),
-            lane_offset_m=column("offset", np.float64),
-            inside_length_m=column("inside", np.float64),
-            next_lane=next_lane,
-            prev_lane=prev_lane,
-            lane_right=right,
-            lane_left=left,
-            segment_start=segments[0],
-            segment_from_m=segments[1],
-            segment_grade_pct=segments[2],
+            **{name: np.array([row[name] for row in self.rows], dtype) for name, dtype in _LANE_COLUMNS.items()},
+            **self._successors(),
+            **self._neighbours(),
+            **self._segments(),
             shapes=tuple(row["shape"] for row in self.rows),
         )
 
-    def _column(self, name: str, dtype: Any) -> np.ndarray:
-        return np.array([row[name] for row in self.rows], dtype=dtype)
-
     def _add_edge(self, edge: str, location: int, approach: int, exit_: int) -> None:
         lanes = self.edges[edge]
-        number = len({row["edge"] for row in self.rows})
+        number = len({row["lane_edge"] for row in self.rows})
         for index, lane in enumerate(lanes):
             self.lanes[lane.get("id")] = len(self.rows)
-            self.rows.append(
-                {
-                    "edge": number,
-                    "index": index,
-                    "place": lane_number(lane),
-                    "siblings": len(lanes),
-                    "location": location,
-                    "approach": approach,
-                    "exit": exit_,
-                    "length": float(lane.get("length")),
-                    "limit": float(lane.get("speed")),
-                    "offset": 0.0,
-                    "inside": 0.0,
-                    "shape": lane_shape(lane),
-                    "next": {},
-                    "prev": {},
-                }
-            )
+            own = location, number, index, len(lanes), float(lane.get("length")), float(lane.get("speed"))
+            row = dict(zip(_LANE_COLUMNS, (*own, approach, exit_, 0.0, 0.0), strict=True))
+            self.rows.append({**row, "place": lane_number(lane), "shape": lane_shape(lane), "next": {}, "prev": {}})
 
     def _sources(self, leg: str) -> dict[str, str]:
         return {kind: f"{leg}{kind[1]}2{leg}" for kind in ("AB", "AA") if f"{leg}{kind[1]}2{leg}" in self.edges}
@@ -268,7 +236,7 @@ class _Reader:
         found = [c for lane in self.edges[edge] for c in self.connections[edge, lane_number(lane)]]
         return [c for c in found if _REGION_EDGE.fullmatch(c.get("to")) and c.get("to")[3:] in self.exits]
 
-    def _movement_links(self) -> dict[tuple[int, int], list[int]]:
+    def signal_links(self) -> dict[tuple[int, int], list[int]]:
         links: dict[tuple[int, int], list[int]] = defaultdict(list)
         for p in range(len(self.approaches)):
             for c in self._stop_line_connections(p):
@@ -312,11 +280,11 @@ class _Reader:
         start = self.lanes[f"{connection.get('from')}_{connection.get('fromLane')}"]
         end = self.lanes[f"{connection.get('to')}_{connection.get('toLane')}"]
         path = [start, *(self.lanes[lane] for lane in chain), end]
-        total = sum(self.rows[lane]["length"] for lane in path[1:-1])
+        total = sum(self.rows[lane]["lane_length"] for lane in path[1:-1])
         offset = 0.0
         for lane in path[1:-1]:
-            self.rows[lane].update(offset=offset, inside=total)
-            offset += self.rows[lane]["length"]
+            self.rows[lane].update(lane_offset_m=offset, inside_length_m=total)
+            offset += self.rows[lane]["lane_length"]
         # Of several connections of one lane to one exit the outer loop meets the rightmost target first; it is kept.
         for before, after in itertools.pairwise(path):
             self.rows[before]["next"].setdefault(q, after)
@@ -345,49 +313,46 @@ class _Reader:
 
     def _approach_offsets(self) -> None:
         for p, edges in enumerate(self.incoming):
-            stop_lanes = [self.lanes[lane.get("id")] for lane in self.edges[edges[-1]]]
-            frontier = stop_lanes
+            frontier = [self.lanes[lane.get("id")] for lane in self.edges[edges[-1]]]
             for lane in frontier:
-                self.rows[lane]["offset"] = -self.rows[lane]["length"]
-            while frontier:
-                onward = []
-                for lane in frontier:
-                    before = self.rows[lane]["prev"].get(p)
-                    if before is not None and self.rows[before]["offset"] == 0.0:
-                        self.rows[before]["offset"] = self.rows[lane]["offset"] - self.rows[before]["length"]
-                        onward.append(before)
-                frontier = onward
+                self.rows[lane]["lane_offset_m"] = -self.rows[lane]["lane_length"]
+            for lane in frontier:  # which grows
+                before = self.rows[lane]["prev"].get(p)
+                if before is not None and self.rows[before]["lane_offset_m"] == 0.0:
+                    row = self.rows[before]
+                    row["lane_offset_m"] = self.rows[lane]["lane_offset_m"] - row["lane_length"]
+                    frontier.append(before)
 
-    def _successors(self) -> tuple[np.ndarray, np.ndarray]:
+    def _successors(self) -> dict[str, np.ndarray]:
         next_lane = np.full((len(self.rows), len(self.exits)), -1, np.int32)
         prev_lane = np.full((len(self.rows), len(self.approaches)), -1, np.int32)
         for number, row in enumerate(self.rows):
-            for q, lane in row["next"].items():
-                next_lane[number, q] = lane
-            for p, lane in row["prev"].items():
-                prev_lane[number, p] = lane
-        return next_lane, prev_lane
+            for table, found in ((next_lane, row["next"]), (prev_lane, row["prev"])):
+                table[number, list(found)] = list(found.values())
+        return {"next_lane": next_lane, "prev_lane": prev_lane}
 
-    def _neighbours(self) -> tuple[np.ndarray, np.ndarray]:
+    def _neighbours(self) -> dict[str, np.ndarray]:
         # No vehicle changes across a lane that is closed to cars.
-        place = {(row["edge"], row["place"]): number for number, row in enumerate(self.rows)}
-        right = [place.get((row["edge"], row["place"] - 1), -1) for row in self.rows]
-        left = [place.get((row["edge"], row["place"] + 1), -1) for row in self.rows]
-        return np.array(right, np.int32), np.array(left, np.int32)
+        place = {(row["lane_edge"], row["place"]): number for number, row in enumerate(self.rows)}
+        sides = {"lane_right": -1, "lane_left": 1}
+        return {
+            name: np.array([place.get((row["lane_edge"], row["place"] + step), -1) for row in self.rows], np.int32)
+            for name, step in sides.items()
+        }
 
-    def _segments(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _segments(self) -> dict[str, np.ndarray]:
         starts, begins, grades = [0], [], []
         for row in self.rows:
-            shape = row["shape"]
-            step = np.diff(shape, axis=0)
+            step = np.diff(row["shape"], axis=0)
             length = np.linalg.norm(step, axis=1)
             run = np.maximum(np.linalg.norm(step[:, :2], axis=1), 1e-9)
             # SUMO stretches the drawn lane to its nominal length before it looks up the slope.
-            scale = row["length"] / max(float(length.sum()), 1e-9)
+            scale = row["lane_length"] / max(float(length.sum()), 1e-9)
             begins.append(np.concatenate([[0.0], np.cumsum(length)[:-1]]) * scale)
             grades.append(100.0 * step[:, 2] / run)
             starts.append(starts[-1] + len(step))
-        return np.array(starts, np.int32), np.concatenate(begins), np.concatenate(grades)
+        start, begin_m, grade_pct = np.array(starts, np.int32), np.concatenate(begins), np.concatenate(grades)
+        return {"segment_start": start, "segment_from_m": begin_m, "segment_grade_pct": grade_pct}
 
     @staticmethod
     def _grade(lane: Any) -> float:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from izoo.contexts.spec import Approach, CountedApproach
+from izoo.contexts.spec import Approach
 
 RIGHT, STRAIGHT, LEFT = 0, 1, 2
 TURN_SHARE = 0.1
@@ -22,7 +22,7 @@ def exit_shares(
         exits: ``Q`` legs.
         movement_turn, movement_links: as for :func:`turning_shares`.
     """
-    if not isinstance(approach, CountedApproach):
+    if approach is None or not approach.exit_counts:
         return turning_shares(movement_turn, movement_links)
     counts = dict(approach.exit_counts)
     flow = np.where(np.asarray(movement_turn) >= 0, [counts.get(leg, 0.0) for leg in exits], 0.0)

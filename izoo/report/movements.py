@@ -14,7 +14,7 @@ from izoo.metrics.pairing import BASELINES, HUMAN, UNCOMMANDED
 from izoo.networks.draw.town import draw_town
 from izoo.report.report_data import Evaluation
 from izoo.report.tables import Cell, Row, Table, ranking
-from izoo.results.contexts_file import read_contexts
+from izoo.results.store import read_contexts
 
 MOST_INTERSECTIONS = 60
 """Movements of more intersections are not listed."""

@@ -25,10 +25,9 @@ from izoo.metrics.pairing import UNCOMMANDED
 from izoo.report.recording import Recorder, geometry
 from izoo.report.report_data import TRAIN_FOLDER, Evaluation
 from izoo.report.tables import SAVED
-from izoo.results.contexts_file import read_contexts
 from izoo.results.playing import Policy, run_episode
 from izoo.results.policies import as_policy, weights_hash
-from izoo.results.store import PolicyRecord
+from izoo.results.store import PolicyRecord, read_contexts
 from izoo.training import checkpoint, run_folder
 
 FOLDER = "replays"

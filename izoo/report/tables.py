@@ -20,10 +20,9 @@ from rich.text import Text
 
 from izoo.console import counted, plain
 from izoo.envs import SIMULATORS
-from izoo.metrics.episode_seeds import MIN_EPISODE_SEEDS
 from izoo.metrics.figures import FIGURES, HEADLINE, Figure
 from izoo.metrics.pairing import BASELINES, HUMAN, UNCOMMANDED
-from izoo.metrics.summary import BLOCKS
+from izoo.metrics.summary import BLOCKS, MIN_EPISODE_SEEDS
 
 FIRST_ROWS = 6
 SAVED = HEADLINE[0]
@@ -177,7 +176,7 @@ class Table:
 def print_summary(summary: Mapping[str, Any], verbose: bool = False, console: Console | None = None) -> None:
     """Print the headline of a summary, with ``verbose`` everything else, and the verdict."""
     console = console or Console()
-    first, *others = shown_first(summary) + (details(summary) if verbose else [])
+    first, *others = [*shown_first(summary), *(details(summary) if verbose else [])]
     (first if verbose else first.first(FIRST_ROWS)).show(console)
     if not verbose and len(first.rows) > FIRST_ROWS:
         console.print(f"The first {FIRST_ROWS} of {len(first.rows)} rows; -v shows all.", highlight=False)

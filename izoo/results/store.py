@@ -1,9 +1,11 @@
-"""Results folders: rows that are appended as episodes end, and a manifest of what they were played with."""
+"""Results folders: rows that are appended as episodes end, a manifest of what they were played with, and the contexts,
+so that episodes can be played again."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
+import gzip
 import importlib.metadata
 import json
 import platform
@@ -17,12 +19,13 @@ import pandas as pd
 import izoo
 from izoo.conf.mapping import from_mapping
 from izoo.contexts.context import Context
+from izoo.contexts.population import DriverPopulation
+from izoo.contexts.spec import spec_from_dict
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.metric_sums import MOVEMENT_METRICS
 from izoo.envs.model_version import MODEL_VERSION
 from izoo.errors import IzooError, check_line
-from izoo.files import claimed, read_text, write_json
-from izoo.results.contexts_file import add_contexts
+from izoo.files import MOST_UNPACKED_BYTES, claimed, read_bytes, read_text, reading, unpacked, write_bytes, write_json
 from izoo.results.rows_file import Row, RowsFile
 from izoo.results.schema import COLUMNS, EPISODE, TEXT, WHOLE, make_table
 
@@ -212,7 +215,9 @@ def read_manifest(folder: Path | str) -> Manifest:
     if not folder.is_dir():
         raise IzooError(f"{folder}: no such results folder.")
     path = folder / MANIFEST_FILE
-    try:
+    if not path.exists():
+        raise IzooError(f"{folder} is not a results folder: it has no {MANIFEST_FILE}.")
+    with reading(path):
         content = json.loads(read_text(path))
         if content.pop("format") != FORMAT:
             raise IzooError(f"{path} is of another version of izoo; evaluate again into another folder.")
@@ -221,10 +226,6 @@ def read_manifest(folder: Path | str) -> Manifest:
             for name, seeds in content.pop("policies").items()
         }
         return Manifest(**content, policies=policies)
-    except FileNotFoundError:
-        raise IzooError(f"{folder} is not a results folder: it has no {MANIFEST_FILE}.") from None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise IzooError(f"{path} cannot be read ({error}); evaluate again into another folder.") from error
 
 
 def settings(config: EnvConfig) -> dict[str, Any]:
@@ -274,3 +275,34 @@ def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def _short(value: Any) -> str:
     text = str(value)
     return text if len(text) <= 40 else f"{text[:12]}..."
+
+
+CONTEXTS_FILE = "contexts.json.gz"
+
+
+def add_contexts(folder: Path, contexts: Iterable[Context]) -> None:
+    """Add contexts to those that a results folder already has."""
+    old = read_contexts(folder) if (folder / CONTEXTS_FILE).exists() else {}
+    every = old | {context.content_hash: context for context in contexts}
+    if len(every) > len(old):
+        content = [dataclasses.asdict(every[key]) for key in sorted(every)]
+        write_bytes(folder / CONTEXTS_FILE, gzip.compress(json.dumps(content).encode(), mtime=0))
+
+
+def read_contexts(folder: Path) -> dict[str, Context]:
+    """Return the contexts of a results folder by content hash.
+
+    Raises:
+        IzooError: the file is missing or cannot be read.
+    """
+    path = folder / CONTEXTS_FILE
+    with reading(path):
+        found = [context_from_dict(entry) for entry in json.loads(unpacked(read_bytes(path, MOST_UNPACKED_BYTES)))]
+    return {context.content_hash: context for context in found}
+
+
+def context_from_dict(fields: Mapping[str, Any]) -> Context:
+    """Rebuild a context from ``dataclasses.asdict``, also after a way through JSON; its hash stays the same."""
+    drivers = fields.get("drivers")
+    population = None if drivers is None else DriverPopulation(**drivers)
+    return Context(**{**fields, "intersection": spec_from_dict(fields["intersection"]), "drivers": population})

@@ -7,7 +7,6 @@ others, but the speed limit is used instead.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,23 +15,6 @@ from izoo.contexts.population import IDM_PARAMETERS, DriverPopulation, read_popu
 from izoo.emissions.classes import LIGHT_COMMERCIAL_TRUCK, TRANSIT_BUS
 
 HEAVY_TYPES = (LIGHT_COMMERCIAL_TRUCK, TRANSIT_BUS)
-
-
-@dataclass(frozen=True)
-class Drivers:
-    """IDM parameters of ``N`` drivers, each ``[N]`` float64.
-
-    Attributes:
-        min_gap_m: standstill gap s0.
-        tau_s: time headway T.
-        accel_mps2: maximal acceleration alpha.
-        decel_mps2: comfortable deceleration beta.
-    """
-
-    min_gap_m: np.ndarray
-    tau_s: np.ndarray
-    accel_mps2: np.ndarray
-    decel_mps2: np.ndarray
 
 
 @functools.lru_cache(maxsize=1)
@@ -49,8 +31,8 @@ def mean_and_factor(population: DriverPopulation) -> tuple[np.ndarray, np.ndarra
 
 def sample_drivers(
     generator: np.random.Generator, source_type: np.ndarray, population: DriverPopulation | None = None
-) -> Drivers:
-    """Draw one driver per vehicle.
+) -> np.ndarray:
+    """Draw one driver per vehicle; return minimal gaps, headways, accelerations and decelerations, ``[4, N]``.
 
     Driver ``k`` depends on the generator's state, on ``k`` and on vehicle ``k``'s type alone.
 
@@ -62,5 +44,4 @@ def sample_drivers(
     mean, factor = mean_and_factor(built_in_population() if population is None else population)
     row = np.isin(source_type, HEAVY_TYPES).astype(np.int64)
     normal = generator.standard_normal((len(source_type), len(IDM_PARAMETERS)))
-    _, min_gap, tau, accel, decel = np.exp(mean[row] + np.einsum("nij,nj->ni", factor[row], normal)).T
-    return Drivers(min_gap, tau, accel, decel)
+    return np.exp(mean[row] + np.einsum("nij,nj->ni", factor[row], normal)).T[1:]

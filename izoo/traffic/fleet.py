@@ -15,8 +15,8 @@ from izoo.emissions.classes import (
     PASSENGER_TRUCK,
     TRANSIT_BUS,
     moves_class_index,
+    read_moves_table,
 )
-from izoo.emissions.tables import read_moves_table
 
 CALENDAR_YEAR = 2019
 OLDEST_AGE = 10

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -14,6 +12,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.spec import LEG_NAMES
 from izoo.errors import IzooError
 from izoo.files import write_text
+from izoo.networks.road import RoadNet
 from izoo.networks.turning import exit_shares
 from izoo.traffic.demand import STRAIGHT_SOURCE_SHARE, draw_index, poisson_arrivals
 from izoo.traffic.drivers import sample_drivers
@@ -27,31 +26,6 @@ PAPER_CV = {"length_m": 5.0, "min_gap_m": 2.0, "tau_s": 1.0, "accel_mps2": 2.6, 
 
 # Streams of randomness. Their numbers are part of the meaning of a seed: never renumber them.
 _ARRIVALS, _ROUTES, _FLEET, _DRIVERS, _ADOPTION = range(5)
-
-
-class Roads(Protocol):
-    """The parts of a net that traffic depends on; :class:`izoo.networks.road.RoadNet` is one."""
-
-    @property
-    def approaches(self) -> tuple[str, ...]: ...
-    @property
-    def exits(self) -> tuple[str, ...]: ...
-    @property
-    def movement_turn(self) -> np.ndarray: ...
-    @property
-    def movement_links(self) -> np.ndarray: ...
-    @property
-    def main_lane_count(self) -> np.ndarray: ...
-    @property
-    def speed_limit_mps(self) -> np.ndarray: ...
-    @property
-    def sources(self) -> Sequence[dict[str, str]]: ...
-    @property
-    def source_lanes(self) -> Sequence[dict[str, tuple[int, ...]]]: ...
-    @property
-    def incoming_edges(self) -> tuple[tuple[str, ...], ...]: ...
-    @property
-    def outgoing_edge(self) -> tuple[str, ...]: ...
 
 
 @dataclass(frozen=True)
@@ -93,7 +67,7 @@ class Traffic:
 _COLUMNS = tuple(field.name for field in dataclasses.fields(Traffic) if field.name != "cv_vehicle")
 
 
-def sample_traffic(context: Context, road: Roads, seed: int, duration_s: float) -> Traffic:
+def sample_traffic(context: Context, road: RoadNet, seed: int, duration_s: float) -> Traffic:
     """Draw the vehicles of an episode; they depend on the arguments alone.
 
     Every leg has its own streams of randomness, one per purpose. So the same seed at another adoption level changes
@@ -146,7 +120,7 @@ _EMPTY: dict[str, np.ndarray] = {
 }
 
 
-def _approach_traffic(context: Context, road: Roads, p: int, seed: int, duration_s: float) -> dict[str, np.ndarray]:
+def _approach_traffic(context: Context, road: RoadNet, p: int, seed: int, duration_s: float) -> dict[str, np.ndarray]:
     """Return the columns of one approach's vehicles, in the order of their arrival."""
     leg = road.approaches[p]
     approach = context.intersection.leg(leg).approach
@@ -176,13 +150,7 @@ def _approach_traffic(context: Context, road: Roads, p: int, seed: int, duration
     source_type = CLASS_SOURCE_TYPE[moves_class]
     drivers = sample_drivers(stream(_DRIVERS), source_type, context.drivers)
     is_cv = stream(_ADOPTION).random(count) < context.adoption
-    parameters = {
-        "length_m": lengths_m(source_type),
-        "min_gap_m": drivers.min_gap_m,
-        "tau_s": drivers.tau_s,
-        "accel_mps2": drivers.accel_mps2,
-        "decel_mps2": drivers.decel_mps2,
-    }
+    parameters = dict(zip(PAPER_CV, (lengths_m(source_type), *drivers), strict=True))
     if context.cv_vehicle == "paper":
         parameters = {name: np.where(is_cv, PAPER_CV[name], value) for name, value in parameters.items()}
     return {
@@ -198,7 +166,7 @@ def _approach_traffic(context: Context, road: Roads, p: int, seed: int, duration
     }
 
 
-def write_routes(traffic: Traffic, road: Roads, path: str | Path) -> None:
+def write_routes(traffic: Traffic, road: RoadNet, path: str | Path) -> None:
     """Write the vehicles as a SUMO route file, atomically; vehicle ids are row numbers.
 
     Every driver is a vehicle type of its own (``d<row>``); CVs with the published parameters share the type ``cv``.
@@ -232,7 +200,7 @@ def _route_id(p: int, source: int, q: int) -> str:
     return f"r{p}.{source}.{q}"
 
 
-def _edges(road: Roads, p: int, source: int, q: int) -> str:
+def _edges(road: RoadNet, p: int, source: int, q: int) -> str:
     return " ".join((road.sources[p][SOURCE_KINDS[source]], *road.incoming_edges[p], road.outgoing_edge[q]))
 
 

@@ -147,7 +147,7 @@ class BaselineComparison:
         env, twin = _by_step(config.env), config.twin
         self.hold_steps = env.hold_steps
         self.gamma: float = getattr(config.algo, "gamma", 1.0) if by_step else 1.0
-        self.variate: str = getattr(config.algo, "control_variate", "none")
+        self.variate = config.algo.variate
         self._reward_to_go: dict[int, RewardToGo] = {}
         self._process = BaselineProcess(
             config=env,

@@ -75,7 +75,7 @@ class BaselineProcess:
     def _play(self, plays: Callable[[], Sequence[Play]], record: Sequence[str]) -> list[Episode]:
         message, lost = cloudpickle.dumps((plays(), record)), ""
         for _ in range(ATTEMPTS):
-            child = self._begun()
+            child = self._running_child()
             try:
                 send(child.socket, message)
                 answer = pickle.loads(receive(child.socket))
@@ -91,7 +91,7 @@ class BaselineProcess:
             f"({lost}); go on with resume=RUN_DIR, or twin.compare_every=0."
         )
 
-    def _begun(self) -> ChildProcess:
+    def _running_child(self) -> ChildProcess:
         """Return the process; another one where it has ended."""
         with self._lock:
             if self._closed:

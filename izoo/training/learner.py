@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from izoo.algos.learners.base import POTENTIAL, Keys, innermost, reads
+from izoo.algos.learners.base import MASK, OBSERVATION, POTENTIAL, Keys, innermost, reads
 from izoo.algos.learners.decisions import Decisions, shaped
 from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.train_options import TrainConfig
@@ -20,6 +20,8 @@ from izoo.envs.config import STEP
 from izoo.gpu import check_gpu
 
 COLLECTS_ON = torch.device("cpu")
+_SPARSE: dict[tuple[str, ...], tuple[str, ...]] = {OBSERVATION: MASK, ("next", *OBSERVATION): ("next", *MASK)}
+"""What is 0 but where an agent is, and what says where."""
 
 
 def learner_device(name: str) -> torch.device:
@@ -36,8 +38,16 @@ def learner_device(name: str) -> torch.device:
 
 
 def to_learner(batch: TensorDictBase, device: torch.device) -> TensorDictBase:
-    """Return a batch on the learner's device."""
-    return batch if device == COLLECTS_ON else batch.to(device)
+    """Return a batch on the learner's device; of observations, which are 0 in empty slots, those of agents travel."""
+    if device == COLLECTS_ON:
+        return batch
+    sparse = {key: mask for key, mask in _SPARSE.items() if {key, mask} <= set(batch.keys(True, True))}
+    found = batch.exclude(*sparse).to(device)
+    for key, mask in sparse.items():
+        dense = batch.get(key)
+        rows = dense[batch.get(mask)].to(device)
+        found.set(key, rows.new_zeros(dense.shape).index_put_((found.get(mask),), rows))
+    return found
 
 
 def is_finite(state: Any) -> bool:
@@ -77,12 +87,13 @@ class Learner:
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
         """Learn from a batch ``[N, T]`` that was collected on the CPU; see :class:`izoo.algos.learners.base.Algorithm`.
 
-        The algorithm sees decisions, and shaped rewards where the batch holds potentials.
+        The algorithm sees decisions, and shaped rewards where the batch holds potentials. The figures of every
+        algorithm hold ``decisions``: how many it learned from.
         """
-        stats: dict[str, float] = {}
         if self.decisions is not None:
             batch = self.decisions(batch)
-            stats["decisions"] = float(len(batch))
+        # Each entry of :class:`Decisions` is one; elsewhere every agent in a step takes one.
+        stats = {"decisions": float(len(batch) if self.decisions is not None else batch.get(MASK).sum())}
         if batch.get(POTENTIAL, None) is not None:
             batch = shaped(batch, self.gamma)
         if batch.numel() > 0:
@@ -112,19 +123,8 @@ class Learner:
         return state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what :meth:`state_dict` returned, on whichever device that was.
-
-        Raises:
-            ValueError: the state of an optimiser is of other networks; Adam takes any, and fails in its first step.
-        """
+        """Restore what :meth:`state_dict` returned, on whichever device that was."""
         self.algorithm.load_state_dict(state["algorithm"])
-        for optimiser in vars(innermost(self.algorithm)).values():
-            if isinstance(optimiser, torch.optim.Adam):
-                for parameter, entries in optimiser.state.items():
-                    for name, entry in entries.items():
-                        if entry.ndim > 0 and entry.shape != parameter.shape:
-                            shapes = f"{list(entry.shape)}, not {list(parameter.shape)}"
-                            raise ValueError(f"the optimiser's {name} is {shapes}")
         if self.decisions is not None:
             self.decisions.load_state_dict(state["decisions"])
         self.share()

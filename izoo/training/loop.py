@@ -32,7 +32,7 @@ def train(config: TrainConfig, show: Show | None = None) -> Path:
         KeyboardInterrupt: after Ctrl-C or SIGTERM, once the run is saved.
     """
     if config.resume is not None:
-        run_dir, path = run_folder.standing(Path(config.resume))
+        run_dir, path = run_folder.resume_point(Path(config.resume))
         with run_folder.owned(run_dir), _room(run_dir):
             state = _to_resume(config, run_dir, path)
             run = RunState(config, config.contexts.build())
@@ -56,7 +56,7 @@ def train(config: TrainConfig, show: Show | None = None) -> Path:
 
 @contextlib.contextmanager
 def _room(run_dir: Path) -> Iterator[None]:
-    """Say in one sentence that a run's folder was removed, that its disk is full, or that memory is short.
+    """Say in one sentence that the disk is full, or that memory is short.
 
     Raises:
         UnfinishedError: so it is.
@@ -64,8 +64,6 @@ def _room(run_dir: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if not run_dir.is_dir():
-            raise UnfinishedError(f"{run_dir} is gone: it was removed or renamed while its run went on.") from error
         if error.errno not in NO_ROOM and not str(error.filename).startswith(str(run_dir)):
             raise
         raise UnfinishedError(f"cannot write to {run_dir}: {error.strerror}. {last_good(run_dir)}") from error

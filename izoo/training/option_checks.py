@@ -27,10 +27,10 @@ def check_options(config: TrainConfig) -> None:
     if simulator.batched and config.twin.surrogate == "cuda":
         check_gpu("twin.surrogate", "torch")
     algo, decide = config.algo, config.env.decide
-    if algo.second_play and not simulator.batched:
+    if algo.variate != "none" and not simulator.batched:
         raise IzooError(
-            f"{algo.second_play} plays every training episode a second time, uncommanded, which {simulator.label} does "
-            f"not do during training; choose simulator=twin, or {algo.second_play.partition('=')[0]}=none."
+            f"algo.control_variate={algo.variate} plays every training episode a second time, uncommanded, which "
+            f"{simulator.label} does not do during training; choose simulator=twin, or algo.control_variate=none."
         )
     if algo.candidates > 1 and config.env.action == SPEED:
         raise IzooError(

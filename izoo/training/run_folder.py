@@ -83,11 +83,11 @@ def _remove(run_dir: Path, config: TrainConfig, made: Sequence[Path]) -> None:
     """Remove what a run has put into its folder, and the folders made for it that hold nothing else."""
     for path in (run_dir / CONFIG_FILE, *(kept for _, kept in _drivers(run_dir, config))):
         path.unlink(missing_ok=True)
-    for folder in LOGGER_FOLDERS:
-        shutil.rmtree(run_dir / folder, ignore_errors=True)
-    for path in (checkpoint.folder_of(run_dir), *made):
+    for name in LOGGER_FOLDERS:
+        shutil.rmtree(run_dir / name, ignore_errors=True)
+    for folder in (checkpoint.folder_of(run_dir), *made):
         with contextlib.suppress(OSError):
-            path.rmdir()
+            folder.rmdir()
 
 
 def write_config(run_dir: Path, config: TrainConfig) -> None:
@@ -158,7 +158,7 @@ def read_config(run_dir: Path, imports: bool = True) -> TrainConfig:
             raise IzooError(f"{path}: {error}") from error
 
 
-def standing(where: Path) -> tuple[Path, Path | None]:
+def resume_point(where: Path) -> tuple[Path, Path | None]:
     """Return the folder of a run to go on with, and the checkpoint to go on from; ``None``: it has saved none yet.
 
     Args:
@@ -171,8 +171,8 @@ def standing(where: Path) -> tuple[Path, Path | None]:
 
 
 def resumed(where: Path) -> TrainConfig:
-    """Return the options with which a run goes on: its own; see :func:`standing`."""
-    run_dir, _ = standing(where)
+    """Return the options with which a run goes on: its own; see :func:`resume_point`."""
+    run_dir, _ = resume_point(where)
     return dataclasses.replace(read_config(run_dir), run_dir=str(run_dir), resume=str(where))
 
 
@@ -194,7 +194,7 @@ def load_algorithm(where: Path | str) -> tuple[Algorithm, TrainConfig, dict[str,
     return algorithm, config, state
 
 
-def begin_with(algorithm: Algorithm, config: TrainConfig) -> None:
+def start_from(algorithm: Algorithm, config: TrainConfig) -> None:
     """Give an algorithm the policy of the run that the option ``start`` names.
 
     Raises:
@@ -207,7 +207,7 @@ def begin_with(algorithm: Algorithm, config: TrainConfig) -> None:
             f"start={config.start} is a run of algo={theirs.algo.name}, whose policy has other networks than that of "
             f"algo={config.algo.name}; ppo and mappo can begin with each other's, gcrl with its own."
         )
-    here, there = _meaning(config), _meaning(theirs)
+    here, there = _weight_options(config), _weight_options(theirs)
     for what, its in there.items():
         if here.get(what) != its:
             raise IzooError(f"start={config.start} is a run with other options ({what}: {its}); give the same here.")
@@ -215,7 +215,7 @@ def begin_with(algorithm: Algorithm, config: TrainConfig) -> None:
         innermost(algorithm).policy.load_state_dict(state["algorithm"]["policy"])
 
 
-def _meaning(config: TrainConfig) -> dict[str, Any]:
+def _weight_options(config: TrainConfig) -> dict[str, Any]:
     """Return the options that decide what the weights of a run's policy mean, by name."""
     options = to_mapping(config.algo)
     if getattr(config.action, "point_mass", None) is not None:

@@ -52,7 +52,7 @@ class RunState:
     def begin(self) -> None:
         """Begin with the policy that the options name, if they name one."""
         if self.config.start is not None:
-            run_folder.begin_with(self.learner.algorithm, self.config)
+            run_folder.start_from(self.learner.algorithm, self.config)
             self.learner.share()
 
     def restore(self, state: dict[str, Any], path: Path) -> None:

@@ -43,12 +43,8 @@ class Validator:
         best = checkpoint.best_of(run_dir)
         if best is not None and checkpoint.frames_of(best) > frames:
             best.unlink()
-        judged = dict(zip(*self.table.series("best"), strict=True))
         for candidate in checkpoint.candidates(run_dir):
-            number = checkpoint.frames_of(candidate)
-            if judged.get(number):  # the run was killed before it could take the place of the best
-                checkpoint.make_best(candidate)
-            elif self.options.every_batches and number <= frames and number not in judged:
+            if self.options.every_batches and checkpoint.frames_of(candidate) <= frames:
                 self._wait_for_turn(candidate)
             else:
                 candidate.unlink()

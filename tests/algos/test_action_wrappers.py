@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-from pathlib import Path
 
 import pytest
 import torch
@@ -12,7 +10,6 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from izoo import train
 from izoo.algos.actions.action_modes import AdviseAction, ResidualAction
 from izoo.algos.actions.action_wrappers import (
     RAW_ACTION,
@@ -32,7 +29,6 @@ from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M, FAR_M, SPEED_SCALE_MPS, TIME_SCALE_S
 from izoo.errors import IzooError
-from izoo.training import run_folder
 
 ENV = EnvConfig()
 NAMES = observation_names(ENV)
@@ -150,7 +146,7 @@ def say(transform: ActionTransform, advice: list[float], band: float = 0.0, **se
     return TransformedPolicy(learned, transform)(TensorDict({"agents": agents}))
 
 
-def test_whom_glide_leaves_alone_can_only_be_held_back() -> None:
+def test_vehicles_that_glide_leaves_alone_can_only_be_held_back() -> None:
     acted = say(Correction(NominalDriver(ENV)), [-0.5, 0.0, 0.5])
     assert acted[DEFER].tolist() == [True, True, False]
     assert float(acted[base.ACTION][2]) == pytest.approx(nominal() - 0.5, abs=1e-5)
@@ -265,41 +261,3 @@ def test_what_cannot_work_is_refused() -> None:
     blind = dataclasses.replace(TrainConfig(action=ResidualAction()), env=EnvConfig(neighbours=()))
     with pytest.raises(IzooError, match="glide needs leader_present"):
         make_algorithm(blind.algo, blind.action, blind.env)
-
-
-def test_a_fresh_policy_is_a_module_that_can_be_sent() -> None:
-    import cloudpickle
-
-    policy = make("ddpg").policy
-    assert isinstance(policy, TransformedPolicy)
-    copied = cloudpickle.loads(cloudpickle.dumps(policy))
-    batch = make_batch()
-    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        torch.testing.assert_close(copied(batch.clone())[base.ACTION], policy(batch.clone())[base.ACTION])
-
-
-def test_the_command_trains_a_residual_ddpg_and_its_run_rebuilds_the_policy(tmp_path: Path) -> None:
-    run_dir = tmp_path / "run"
-    words = [
-        *("algo=ddpg", "action=residual", "action.half_width_mps2=0.8", "contexts=pcg_easy", "env.horizon_s=100"),
-        *(
-            "contexts.inflow_vph_per_lane=600",
-            "algo.hidden=[16]",
-            "algo.frames_per_batch=200",
-            "algo.minibatch_rows=64",
-        ),
-        *("algo.learning_starts=200", "total_frames=800", "evaluation.contexts=0", f"run_dir={run_dir}"),
-    ]
-    assert train.main([*words, "collector=single"]) == 0
-    with (run_dir / run_folder.METRICS_FILE).open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [int(row["frames"]) for row in rows] == [200, 400, 600, 800]
-    assert all(float(row["loss_value"]) > 0 for row in rows)
-    assert 0 < float(rows[0]["raw_action_abs"]) < 0.8
-    assert run_folder.read_config(run_dir).action == ResidualAction(half_width_mps2=0.8)
-    policy = run_folder.load_policy(run_dir)
-    assert isinstance(policy, TransformedPolicy)
-    batch = make_batch()
-    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        acted = policy(batch)
-    assert float(acted[RAW_ACTION].abs().max()) <= 0.8

@@ -95,9 +95,8 @@ def test_compiled_draws_equal_the_modules() -> None:
     two_sided, noise = torch.rand(n, generator=generator) < 0.5, torch.randn(n, generator=generator)
     parameters = torch.stack([loc, offset], dim=-1).numpy()
     out, rows = np.zeros((4, n), np.float32), np.arange(n)
-    compiled_mlp.sample(
-        parameters, rows, (0.5, 0.0, 0.01), (-BOUND, BOUND), DEAD, two_sided.numpy().view(np.uint8), noise.numpy(), out
-    )
+    squashing = compiled_mlp.Squashing((0.5, 0.0, 0.01), (-BOUND, BOUND), DEAD)
+    compiled_mlp.sample(parameters, rows, squashing, two_sided.numpy().view(np.uint8), noise.numpy(), out)
     scale = torch.nn.functional.softplus(offset + 0.5).clamp_min(0.01)
     distribution = CensoredNormal(loc.unsqueeze(-1), scale.unsqueeze(-1), BOUND, DEAD, two_sided)
     action = distribution.censor((loc + scale * noise).unsqueeze(-1))

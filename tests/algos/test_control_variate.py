@@ -74,37 +74,6 @@ def test_what_is_taken_away_depends_on_no_action() -> None:
             torch.testing.assert_close(taken, expected, rtol=1e-4, atol=1e-3)
 
 
-def gradients(algorithm: MAPPO, episodes_of: int) -> torch.Tensor:
-    """Policy gradients ``[episodes, parameters]``, one per draw of actions and of the place."""
-    found = []
-    parameters = list(algorithm.loss.actor_network.parameters())
-    for seed in range(episodes_of):
-        batch = episodes(algorithm, seed)
-        mask = batch[base.MASK]
-        advantage = raw_advantages(algorithm, batch)[mask]
-        rows = TensorDict({base.OBSERVATION: batch[base.OBSERVATION][mask], base.ACTION: batch[base.ACTION][mask]})
-        rows.batch_size = [len(advantage)]
-        log_prob = algorithm.loss.actor_network.get_dist(rows).log_prob(rows[base.ACTION])
-        own = torch.autograd.grad((log_prob * advantage).sum() / 12.0, parameters)
-        found.append(torch.cat([part.reshape(-1) for part in own]))
-    return torch.stack(found)
-
-
-@pytest.mark.slow
-def test_the_gradient_is_the_same_in_the_mean_and_varies_less() -> None:
-    """Over 400 episodes: means agree within their errors, while the spread falls to less than half."""
-    plain, less = gradients(make(False), 400), gradients(make(True), 400)
-    difference = plain - less
-    error = difference.std(0) / 400**0.5
-    moving = error > 1e-9
-    deviations = (difference.mean(0)[moving] / error[moving]).abs()
-    assert float(deviations.max()) < 4.5, "that many parameters, some reach 3"
-    assert float((deviations < 2.0).float().mean()) > 0.8
-    assert float(less.std(0)[moving].mean()) < 0.5 * float(plain.std(0)[moving].mean())
-    signal = less.mean(0)[moving] / (less.std(0)[moving] / 400**0.5)
-    assert float(signal.abs().max()) > 5.0, "there is a gradient to be biased"
-
-
 def test_it_fits_the_credit() -> None:
     with pytest.raises(IzooError, match=r"control_variate=team does not go with .* choose vehicle or none"):
         MAPPOConfig(control_variate="team")

@@ -43,12 +43,6 @@ def explore(ddpg: DDPG, batch: TensorDict) -> torch.Tensor:
         return ddpg.policy(batch)[base.ACTION]
 
 
-def sorted_rows(rows: TensorDict) -> torch.Tensor:
-    """All leaves side by side, in an order that does not depend on where a row came from."""
-    table = torch.cat([rows[key].double() for key in TRANSITION], dim=-1)
-    return table[table[:, 0].argsort()]
-
-
 @pytest.mark.parametrize("n_step", [1, 3])
 def test_transitions_equal_a_walk_down_the_slots(n_step: int) -> None:
     batch, gamma, scale = make_batch(), 0.9, 0.5
@@ -122,19 +116,6 @@ def test_targets_follow_slowly_and_each_loss_moves_its_own_network() -> None:
         for old, new, target in zip(before[name], ddpg.parameters[name], targets, strict=True):
             assert not torch.equal(old, new)
             torch.testing.assert_close(target, old + 0.1 * (new - old))
-
-
-def test_slot_order_changes_nothing() -> None:
-    batch = make_batch()
-    order = torch.tensor([2, 3, 0, 1])
-    permuted = batch.clone()
-    permuted["agents"] = batch["agents"][:, :, order]
-    permuted["next", "agents"] = batch["next", "agents"][:, :, order]
-    one, other = transitions(batch, 1.0, 3, 0.9), transitions(permuted, 1.0, 3, 0.9)
-    torch.testing.assert_close(sorted_rows(one), sorted_rows(other))
-    logged = make_ddpg().gradient_step(one)
-    for key, value in make_ddpg().gradient_step(other).items():
-        torch.testing.assert_close(value, logged[key])
 
 
 def test_only_a_random_part_is_stored_and_the_oldest_makes_room() -> None:

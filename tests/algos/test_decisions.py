@@ -166,7 +166,7 @@ def test_learning_sees_the_policy_that_collected(name: str, parts: tuple[str, ..
     direct = algorithm.loss(decisions)  # as a stand-alone loss, on frames
     assert float(direct["mean_ratio"]) == pytest.approx(1.0, abs=1e-4)
     stats = algorithm.update(decisions, 0.0)
-    assert stats["agent_rows"] == len(decisions) and all(map(torch.isfinite, map(torch.tensor, stats.values())))
+    assert all(map(torch.isfinite, map(torch.tensor, stats.values())))
 
 
 def test_who_does_not_decide_weighs_nothing() -> None:

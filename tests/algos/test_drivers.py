@@ -197,7 +197,7 @@ def test_glide_waits_for_the_queue_and_skips_a_green_that_it_uses_up() -> None:
         {"context_green_s": 0.08, "context_red_s": 0.32},  # 20 % of green: too little is discharged
     ],
 )
-def test_glide_leaves_alone_whoever_need_not_slow(values: dict[str, float]) -> None:
+def test_glide_leaves_alone_vehicles_that_need_not_slow(values: dict[str, float]) -> None:
     assert advise(observation(**values))[1].tolist() == [True]
 
 

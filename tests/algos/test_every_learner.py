@@ -129,20 +129,6 @@ def test_padding_changes_nothing(name: str, noise: float) -> None:
     assert_same(one, other, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["ppo", "mappo", "gcrl"])
-def test_slot_order_and_slot_count_change_nothing(name: str) -> None:
-    """One gradient step over all rows is the same; off-policy rows are those of :mod:`tests.algos.test_losses`."""
-    whole = {"rows_per_epoch": None, "minibatch_rows": 10_000, "epochs": 1}
-    one, other = make(name, **whole), make(name, **whole)
-    batch, order = act(one, make_frames()), torch.tensor([2, 3, 0, 1])
-    wide = TensorDict(batch_size=batch.batch_size)
-    for place in ("agents", ("next", "agents")):
-        group = batch[place]
-        wide[place] = torch.cat([torch.zeros_like(group[..., :3]), group[..., order]], -1)
-    assert update(other, wide) == pytest.approx(update(one, batch), rel=1e-3, abs=1e-5)
-    assert_same(one, other, atol=1e-3)  # Adam turns rounding into steps where a gradient is 0 but for rounding
-
-
 @every
 def test_state_restores_the_very_next_updates(name: str) -> None:
     one, other = make(name), make(name)
@@ -199,3 +185,17 @@ def test_off_policy_updates_improve_a_bandit(name: str, actor_lr: float) -> None
     with torch.no_grad():
         action = algorithm.actor.module(batch[base.OBSERVATION])[batch[base.MASK]]
     assert float((action - 1.0).abs().mean()) < 0.5
+
+
+@pytest.mark.parametrize("name", ["ppo", "mappo", "gcrl"])
+def test_slot_order_and_slot_count_change_nothing(name: str) -> None:
+    """One gradient step over all rows is the same; off-policy rows are those of :mod:`tests.algos.test_losses`."""
+    whole = {"rows_per_epoch": None, "minibatch_rows": 10_000, "epochs": 1}
+    one, other = make(name, **whole), make(name, **whole)
+    batch, order = act(one, make_frames()), torch.tensor([2, 3, 0, 1])
+    wide = TensorDict(batch_size=batch.batch_size)
+    for place in ("agents", ("next", "agents")):
+        group = batch[place]
+        wide[place] = torch.cat([torch.zeros_like(group[..., :3]), group[..., order]], -1)
+    assert update(other, wide) == pytest.approx(update(one, batch), rel=1e-3, abs=1e-5)
+    assert_same(one, other, atol=1e-3)  # Adam turns rounding into steps where a gradient is 0 but for rounding

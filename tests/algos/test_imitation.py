@@ -96,20 +96,6 @@ def test_the_loss_is_that_of_a_censored_normal() -> None:
     assert algorithm.update(batch, 0.0)["loss_imitation"] == pytest.approx(float(expected), abs=1e-4)
 
 
-def test_what_empty_slots_hold_changes_nothing() -> None:
-    found = []
-    for noise in (0.0, 7.0):
-        torch.manual_seed(0)
-        algorithm = make("ppo", *WARM, action="advise")
-        batch = glide_batch()
-        batch[base.OBSERVATION][~batch[base.MASK]] = noise
-        torch.manual_seed(1)
-        acted = act(algorithm, batch)
-        torch.manual_seed(2)
-        found.append(algorithm.update(acted, 0.0))
-    assert found[0] == found[1]
-
-
 @pytest.mark.parametrize("algo", ALGOS)
 def test_after_the_warm_start_the_penalty_holds_the_policy_and_fades(algo: str) -> None:
     """Three batches of 120 frames are imitated where 300 are asked for; the penalty is linear in what is left."""
@@ -175,3 +161,17 @@ def test_state_is_restored_within_and_after_the_warm_start(algo: str) -> None:
             torch.manual_seed(6)
             results.append([algorithm.update(act(algorithm, batch), 0.5) for _ in range(3)])
         assert results[0] == results[1]
+
+
+def test_what_empty_slots_hold_changes_nothing() -> None:
+    found = []
+    for noise in (0.0, 7.0):
+        torch.manual_seed(0)
+        algorithm = make("ppo", *WARM, action="advise")
+        batch = glide_batch()
+        batch[base.OBSERVATION][~batch[base.MASK]] = noise
+        torch.manual_seed(1)
+        acted = act(algorithm, batch)
+        torch.manual_seed(2)
+        found.append(algorithm.update(acted, 0.0))
+    assert found[0] == found[1]

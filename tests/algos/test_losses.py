@@ -232,6 +232,15 @@ def test_the_teams_advantage_is_the_recursion_by_hand_and_shared() -> None:
     assert not batch[MASK][0, 4].any(), "the scenario has a frame without agents"
 
 
+def test_they_can_be_imported_without_simulators_or_options() -> None:
+    code = (
+        "import sys, izoo.algos.losses\n"
+        "print([name for name in sys.modules if name.startswith(('izoo.envs', 'izoo.conf', 'libsumo'))])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_stock_torchrl_trains_with_it(kind: str) -> None:
     """Reward is the action: the policy's mean must rise."""
@@ -271,12 +280,3 @@ def test_stock_torchrl_trains_with_it(kind: str) -> None:
         if kind not in OFF_POLICY:
             buffer.empty()
     assert means[-1] > means[0] + 0.3
-
-
-def test_they_can_be_imported_without_simulators_or_options() -> None:
-    code = (
-        "import sys, izoo.algos.losses\n"
-        "print([name for name in sys.modules if name.startswith(('izoo.envs', 'izoo.conf', 'libsumo'))])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"

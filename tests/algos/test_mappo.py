@@ -70,16 +70,6 @@ def test_the_critic_sees_everyone_and_the_policy_only_oneself() -> None:
     assert float((before - after).abs().min()) > 1e-4
 
 
-def test_gradients_do_not_reach_empty_slots() -> None:
-    critic = make_critic()
-    observation = torch.randn(5, 4, FEATURES, requires_grad=True)
-    mask = torch.rand(5, 4, generator=torch.Generator().manual_seed(1)) < 0.6
-    critic(observation, mask)[mask].sum().backward()
-    assert observation.grad is not None
-    assert not observation.grad[~mask].any()
-    assert observation.grad[mask].any()
-
-
 def test_the_paper_preset_is_rllibs_ppo() -> None:
     paper, ppo = MAPPOConfig.paper(), PPOConfig.paper()
     assert {name: getattr(paper, name) for name in vars(ppo) if name != "name"} == {
@@ -92,3 +82,13 @@ def test_team_credit_with_rewards_that_are_not_the_teams_is_refused() -> None:
         compose_config(TrainConfig, ["algo=mappo", "algo.credit=team", "env.reward=fuel"])
     chosen = compose_config(TrainConfig, ["algo=mappo", "algo.credit=team", "env.reward=fuel_team"])
     assert chosen.env.emit == ("team_reward",)
+
+
+def test_gradients_do_not_reach_empty_slots() -> None:
+    critic = make_critic()
+    observation = torch.randn(5, 4, FEATURES, requires_grad=True)
+    mask = torch.rand(5, 4, generator=torch.Generator().manual_seed(1)) < 0.6
+    critic(observation, mask)[mask].sum().backward()
+    assert observation.grad is not None
+    assert not observation.grad[~mask].any()
+    assert observation.grad[mask].any()

@@ -237,7 +237,7 @@ def test_costs_are_those_that_were_recorded(tmp_path: Path) -> None:
         run.mkdir(parents=True)
         write_config(run, TrainConfig())
         for k in (1, 2):
-            row = {"frames": 40 * k, "seconds": 9.0, "episodes": 18 * k, "agent_rows": 7, **more}
+            row = {"frames": 40 * k, "seconds": 9.0, "episodes": 18 * k, "decisions": 7, **more}
             MetricsTable(run / "metrics.csv", 40 * k - 1).append(row)
     hours = f"{36 * TrainConfig().env.horizon_s / 3600:.0f}"
     assert [row.cells for row in costs(tmp_path).rows] == [("1", "14", hours, "1.00"), ("1", "14", hours, "-")]
@@ -247,7 +247,7 @@ def test_costs_are_those_that_were_recorded(tmp_path: Path) -> None:
 def test_curves_that_dive_or_are_not_known_are_drawn(tmp_path: Path, saved: float) -> None:
     run = tmp_path / "train/ppo/seed0"
     run.mkdir(parents=True)
-    MetricsTable(run / "metrics.csv").append({"frames": 40, "agent_rows": 7})
+    MetricsTable(run / "metrics.csv").append({"frames": 40, "decisions": 7})
     MetricsTable(run / "validation.csv").append({"frames": 40, "co2_saved": saved, "delay_change_s": 90.0})
     draw(draw_curves(tmp_path, {"adoption": {0.1: ["contexts.adoption=0.1"]}})).savefig(tmp_path / "curves.png")
     assert (tmp_path / "curves.png").stat().st_size > 0
@@ -258,7 +258,7 @@ def test_curves_of_three_factors_stand_beside_another_entry(tmp_path: Path) -> N
     for name in names:
         run = tmp_path / "train" / name / "seed0"
         run.mkdir(parents=True)
-        MetricsTable(run / "metrics.csv").append({"frames": 40, "agent_rows": 7})
+        MetricsTable(run / "metrics.csv").append({"frames": 40, "decisions": 7})
         MetricsTable(run / "validation.csv").append({"frames": 40, "co2_saved": 1.0, "delay_change_s": 0.0})
     factors = {"algo": ["ppo", "td3"], "from": ["near", "far"], "on": ["wet", "dry"]}
     grid = {factor: dict.fromkeys(values) for factor, values in factors.items()}

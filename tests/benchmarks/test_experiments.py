@@ -16,7 +16,6 @@ from izoo.benchmarks.campaign.jobs import PartRun, reads_folder, untrained
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from izoo.metrics.summary import TRAINING
-from izoo.training import checkpoint
 from izoo.training.learner import Learner
 
 
@@ -132,23 +131,3 @@ def test_an_untrained_entry_is_what_the_run_of_that_seed_begins_with() -> None:
     weights = [name for name in begun if hasattr(begun[name], "dim") and begun[name].dim() == 2]
     assert weights and all(torch.equal(begun[name], entry[name]) for name in weights)
     assert not all(torch.equal(begun[name], other[name]) for name in weights)
-
-
-def test_a_run_that_owes_a_validation_is_not_trained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Otherwise a campaign that is killed during the last validation would test other weights."""
-    monkeypatch.setattr("izoo.benchmarks.campaign.training_runs.check_same", lambda *_: None)
-    monkeypatch.setattr("izoo.training.run_folder.read_config", lambda _: TrainConfig())
-    train = ["algo=ppo", "total_frames=200"]
-    trained = {}
-    for select in ("last", "best"):
-        entry, part = {"train": train, "select": select}, {"task": "busy_lane", "entries": ["ppo"], "seeds": 1}
-        path = written(tmp_path, entries={"ppo": entry}, parts={select: part})
-        runs, key = PartRun(read_experiment(path), select, tmp_path, CampaignConfig()).runs, ("ppo", 0)
-        runs.run_dir(key).mkdir(parents=True)
-        last = checkpoint.save(runs.run_dir(key), 200, {"features": 1}, keep=2)
-        assert runs.is_trained(key)
-        candidate = checkpoint.make_candidate(last)
-        trained[select] = runs.is_trained(key)
-        checkpoint.make_best(candidate)
-        assert runs.is_trained(key)
-    assert trained == {"last": True, "best": False}

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from izoo.benchmarks.campaign.parallel_training import ParallelRuns, shares
+from izoo.benchmarks.campaign.parallel_training import ParallelRuns
 from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
@@ -39,16 +36,6 @@ def wait_until(true: Callable[[], object], what: str) -> None:
         time.sleep(0.05)
 
 
-def test_the_cores_are_shared_out() -> None:
-    mine = os.sched_getaffinity(0)
-    for count in (1, len(mine)):
-        parts = shares(count)
-        assert len(parts) == count and set().union(*parts) == mine
-        assert sum(map(len, parts)) == len(mine)
-    many = shares(3 * len(mine))
-    assert len(many) == 3 * len(mine) and all(len(part) == 1 for part in many) and set().union(*many) == mine
-
-
 @pytest.mark.slow
 def test_a_run_that_fails_says_why_and_the_others_close_in_good_order(tmp_path: Path) -> None:
     long = tmp_path / "long"
@@ -63,28 +50,3 @@ def test_a_run_that_fails_says_why_and_the_others_close_in_good_order(tmp_path: 
     assert "go on with: python -m izoo.train resume=" in (tmp_path / "long.log").read_text()
     learned, _ = MetricsTable.read(long / run_folder.METRICS_FILE).series("seconds")
     assert int(checkpoint.listed(long)[-1].stem.rpartition("-")[2]) == learned[-1]
-
-
-@pytest.mark.slow
-def test_who_is_asked_to_stop_and_then_loses_its_parent_still_closes_in_good_order(tmp_path: Path) -> None:
-    """A second request would stop it at once."""
-    words = [f"import sys; sys.path[:] = {sys.path!r}"]
-    words += ["from tests.benchmarks.test_parallel_training import stopped; from pathlib import Path"]
-    words += [f"stopped(Path({str(tmp_path)!r}))"]
-    parent = subprocess.Popen([sys.executable, "-c", "; ".join(words)])
-    wait_until(lambda: (tmp_path / "asked").exists(), "the request")
-    parent.kill()
-    parent.wait()
-    wait_until(lambda: "izoo train: stopped." in (tmp_path / "long.log").read_text(), "the end")
-    learned, _ = MetricsTable.read(tmp_path / "long" / run_folder.METRICS_FILE).series("seconds")
-    assert int(checkpoint.listed(tmp_path / "long")[-1].stem.rpartition("-")[2]) == learned[-1]
-
-
-def stopped(folder: Path) -> None:
-    """Begin a run, and ask it to stop once it has learned something."""
-    with ParallelRuns(1) as beside:
-        beside.begin("long", *order(folder, "long", 10**8, "checkpoint.every_batches=1000"))
-        wait_until(lambda: MetricsTable.read(folder / "long" / run_folder.METRICS_FILE).rows, "the first batch")
-        beside.going[0].dismiss()
-        (folder / "asked").touch()
-        time.sleep(PATIENCE_S)

@@ -15,7 +15,7 @@ from rich.console import Console
 from izoo import zoo
 from izoo.benchmarks import twin
 from izoo.benchmarks.fidelity import twin_fidelity
-from izoo.benchmarks.fidelity.trajectory_diff import Watched, compare_steps, compared, ks_distance, parting, places
+from izoo.benchmarks.fidelity.trajectory_diff import Watched, compare_steps, compared
 from izoo.benchmarks.twin import FidelityConfig
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
@@ -89,12 +89,6 @@ def test_human_driving_is_compared_once_whatever_the_share_of_cvs() -> None:
     assert found == [("glide", 0.5, 1), ("glide", 1.0, 1), ("human", 0.0, 1)]
 
 
-def test_kolmogorov_smirnov_distance() -> None:
-    assert ks_distance(np.array([1.0, 1.0, 2.0]), np.array([2.0, 2.0, 4.0])) == 0.0
-    assert ks_distance(np.array([1.0, 0.0]), np.array([0.0, 5.0])) == 1.0
-    assert ks_distance(np.zeros(2), np.ones(2)) is None
-
-
 def test_the_same_order() -> None:
     gained = pd.DataFrame({"policy": ["a", "b"], "sumo": [0.1, 0.2], "twin": [0.0, 0.01]})
     gained = gained.assign(adoption=1.0, demand="all")
@@ -125,33 +119,6 @@ def test_contexts_without_demand_have_no_part_in_a_gain() -> None:
     out = io.StringIO()
     Console(file=out, width=80).print(twin_fidelity.headline(twin_fidelity.approaches(blocked, blocked), found).rich())
     assert "nan" not in out.getvalue()
-
-
-def test_where_two_scenes_part() -> None:
-    context = procedural_context(inflow_vph_per_lane=400.0, approach="all")
-    env = EcoDrivingEnv(context, config=EnvConfig(horizon_s=60.0, warmup_s=30.0, emit=()), worker=0)
-    try:
-        env.reset(seed=1)
-        scene = env.scene()
-    finally:
-        env.close()
-    there = places(scene)
-    assert parting(1, there, there) is None
-    last = int(scene.vehicles["vehicle_number"][-1])
-    lane, position, speed = there[last]
-    found = parting(7, there, {**there, last: (lane, position + 0.5, speed)})
-    assert found is not None and found.step == 7 and found.vehicle == last
-    gone = parting(7, there, {vehicle: where for vehicle, where in there.items() if vehicle != last})
-    assert gone is not None and gone.twin[0] == "" and "outside" in str(gone)
-
-
-def test_episodes_without_counts_are_left_out_of_what_drivers_did() -> None:
-    without = pd.DataFrame(
-        {"policy": ["glide"], "demand": ["one"], **{name: [np.nan] for name in twin_fidelity.COUNTED}}
-    )
-    assert twin_fidelity.driving(without).empty
-    both = pd.concat([without, without.fillna(2.0)], ignore_index=True)
-    assert (twin_fidelity.driving(both).set_index("measure")["sumo"]["passed_left_red"]) == 2.0
 
 
 def watched(policy: str, context: Context, config: EnvConfig) -> list[Watched]:
@@ -285,8 +252,3 @@ def test_what_a_folder_holds_of_other_options_is_not_compared(tmp_path: Path) ->
     assert {row["policy"] for row in own["groups"]} == {"human", "uncommanded", "random"}
     assert shared["groups"] == own["groups"]
     assert shared["gains"] == own["gains"] and len(own["gains"]) == 2
-
-
-@pytest.mark.parametrize("example", twin.COMMAND.examples)
-def test_the_examples_of_the_help_are_good(example: str) -> None:
-    assert isinstance(twin.COMMAND.compose(example.split()[1:]), FidelityConfig)

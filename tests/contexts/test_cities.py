@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from izoo.contexts.cities import rebuilt as cities
-from izoo.contexts.cities.compare import feature_table, format_distances, total_variation
+from izoo.contexts.cities.compare import feature_table, total_variation
 from izoo.contexts.cities.copula import FEATURES, MPH, Marginal, marginal
 from izoo.contexts.cities.shapes import share_out_lanes
 from izoo.contexts.movements import conflict
@@ -38,11 +38,12 @@ def test_golden_intersections(city):
     spec = cities.get(city)[7]
     fields = dataclasses.asdict(spec)
     assert fields.pop("lonlat") is None
+    assert not any(leg["approach"].pop("exit_counts") for leg in fields["legs"] if leg["approach"])
     assert hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()[:16] == GOLDEN[city]
 
 
 def test_names_are_forgiving_and_unknown_ones_are_refused():
-    assert cities.get("Salt-Lake-City").name == "salt_lake_city"
+    assert cities.get("Salt-Lake-City")[0].name == "salt_lake_city/0"
     with pytest.raises(IzooError, match="Did you mean 'seattle'"):
         cities.get("seatle")
     with pytest.raises(IndexError):
@@ -60,14 +61,6 @@ def test_marginals_are_met(city):
     distances = total_variation(feature_table(cities.get(city)), city)
     assert max(distances.values()) <= 0.05
     assert max(value for name, value in distances.items() if name != "signal_time_ratio") <= 0.01
-
-
-def test_the_distance_sees_a_difference():
-    table = feature_table(cities.get("salt_lake_city"))
-    table[:, FEATURES.index("grade")] += 0.01
-    distances = total_variation(table, "salt_lake_city")
-    assert distances["grade"] > 0.2
-    assert distances["lane_count"] < 0.01
 
 
 def test_salt_lake_city_has_the_published_shape():
@@ -138,8 +131,3 @@ def test_marginal_inverse_and_histogram_agree():
     assert np.abs(published.histogram(sample) - published.prob).max() < 1e-3
     discrete = Marginal(np.array([0.25, 0.75]), values=np.array([1.0, 2.0]))
     assert list(discrete.at(np.array([0.0, 0.2, 0.3, 0.99]))) == [1.0, 1.0, 2.0, 2.0]
-
-
-def test_a_comparison_names_city_and_feature():
-    text = format_distances({"salt_lake_city": feature_table(cities.get("salt_lake_city"))})
-    assert "salt_lake_city" in text and all(name in text for name in FEATURES)

@@ -14,8 +14,7 @@ import pytest
 from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import as_schedule
 from izoo.errors import IzooError
-from izoo.results.contexts_file import context_from_dict
-from izoo.results.store import PolicyRecord, Store
+from izoo.results.store import PolicyRecord, Store, context_from_dict
 
 
 def test_contexts_and_emissions_do_without_torch_and_pandas() -> None:

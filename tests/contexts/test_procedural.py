@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from izoo.contexts.distributions import Box, Uniform
+from izoo.contexts.distributions import Box
 from izoo.contexts.procedural import (
     EASY,
     SYSTEMATICITY_TEST,
@@ -98,23 +98,6 @@ def test_systematicity_train_never_enters_the_test_box():
         assert 100 <= values["inflow"] <= 600.000001
         assert 100 <= values["length"] <= 775
     assert shapes == {(1, 1), (1, 2), (2, 1), (2, 2), (3, 1), (3, 2)}
-
-
-def test_the_exclusion_trips_when_it_is_left_out():
-    narrow = {
-        "lane_count": 2,
-        "phase_count": 2,
-        "inflow_vph_per_lane": Uniform(395.0, 505.0),
-        "speed_limit_mps": Uniform(17.0, 18.0),
-        "lane_length_m": 400.0,
-        "offset_s": 2.5,
-        "green_s": 27.0,
-        "red_s": 27.0,
-    }
-    box = SYSTEMATICITY_TRAIN.product.exclude[0]
-    generator = np.random.default_rng(0)
-    assert any(_in_test_box(ProceduralSource(narrow).sample(generator)) for _ in range(50))
-    assert not any(_in_test_box(ProceduralSource(narrow, [box]).sample(generator)) for _ in range(50))
 
 
 def test_finite_sources_enumerate_in_a_stable_order():

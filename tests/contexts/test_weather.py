@@ -7,7 +7,7 @@ import pytest
 
 from izoo.contexts.cities.weather import CITY_COUNTIES, SEASON_MONTHS, weather
 from izoo.contexts.context import SEASONS
-from izoo.emissions.tables import DATA
+from izoo.emissions.classes import DATA
 
 
 def test_weather_is_the_mean_of_the_seasons_months():

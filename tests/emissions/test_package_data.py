@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from izoo.emissions.classes import CLASSES
-from izoo.emissions.tables import DATA
+from izoo.emissions.classes import CLASSES, DATA
 from izoo.emissions.weights import load_weights
 from tests.emissions import package_data
 from tests.emissions.reference import FUEL_NAMES, SOURCE_NAMES, reference

@@ -5,24 +5,18 @@ from __future__ import annotations
 import contextlib
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from tensordict import TensorDictBase
-from torchrl.collectors import Collector
 from torchrl.envs import EnvBase, check_env_specs
 
-from izoo import collect
-from izoo.algos.drivers.random import RandomDriver
 from izoo.benchmarks.planner import PlannerConfig
-from izoo.conf.train_options import CollectConfig
 from izoo.envs import EcoDrivingEnv, EnvConfig, TwinEnv
 from izoo.envs.views.gymnasium import EcoDrivingEgo, EcoDrivingJoint
 from izoo.errors import IzooError
-from izoo.training import offline
 from tests.envs.conftest import Make, MakeTwin
 from tests.envs.test_determinism import schedule
 from tests.envs.test_env import KINDS
@@ -212,22 +206,6 @@ def test_states_and_branches(make_twin: MakeTwin, decide: str) -> None:
     branches.close()
 
 
-def test_a_stock_collector(make_twin: MakeTwin) -> None:
-    env = make_twin(2, crossing(), config=scope())
-    collector = Collector(env, RandomDriver(config=env.config), frames_per_batch=40, total_frames=80)
-    batches = list(collector)
-    assert [batch.shape for batch in batches] == [(2, 20), (2, 20)]
-    decides = torch.cat([batch["agents", "decides"] for batch in batches], 1)
-    assert 0 < decides.sum() < torch.cat([batch["agents", "mask"] for batch in batches], 1).sum() / 3
-
-
-def test_advance_is_refused(make_twin: MakeTwin) -> None:
-    env = make_twin(2, crossing(), config=scope())
-    env.reset()
-    with pytest.raises(IzooError, match=r"env\.decide=step"):
-        env.advance([1, 2])
-
-
 def test_accelerations_may_hold_too() -> None:
     def gently(state: TensorDictBase) -> TensorDictBase:
         action = torch.where(state["agents", "decides"], 0.5, torch.nan)
@@ -284,14 +262,3 @@ def test_planners_and_lane_changes_need_decisions_in_every_step() -> None:
             PlannerConfig(env=EnvConfig(**options))
     with pytest.raises(IzooError, match=r"env\.lane_change"):
         EnvConfig(decide="vehicle", lane_change=True)
-
-
-@pytest.mark.slow
-def test_offline_data_hold_decisions(tmp_path: Path) -> None:
-    """The shares of a random driver, and which agents had to decide."""
-    out = tmp_path / "data"
-    options = {"out": str(out), "frames": 64, "env": scope(emit=()), "simulator": "twin", "num_envs": 4}
-    offline.collect(CollectConfig(**options))
-    steps = collect.load(out)
-    shares = steps["agents", "action"][steps["agents", "mask"]]
-    assert steps["agents", "decides"].any() and shares.min() >= 0.1 and shares.max() <= 1.0

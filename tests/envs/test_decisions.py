@@ -9,9 +9,9 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv
+from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.errors import IzooError
-from tests.envs.worlds import crossing, play, same, short, steering
+from tests.envs.worlds import crossing, play, short, steering
 
 HOLD_STEPS = 4
 CONFIG = short(horizon_s=150.0, hold_s=2.0)
@@ -103,15 +103,6 @@ def test_next_shows_the_same_vehicle_or_an_empty_slot(decisions: TensorDict) -> 
                 assert not left and float(frame["next", "agents", "reward"][slot]) == 0.0
                 entered += then >= 0
     assert entered > 10, "new vehicles make their first decision when the present one ends"
-
-
-def test_several_environments_hold_decisions() -> None:
-    config = short(horizon_s=40.0, hold_s=2.5)
-    with contextlib.closing(EcoDrivingEnv([crossing()], config=config, seed=2)) as one:
-        alone = play(one, config.decisions)
-    with contextlib.closing(SumoParallelEnv(2, [crossing()], config=config, seed=2)) as two:
-        together = play(two, config.decisions)
-    assert same(alone["next", "agents"], together[0]["next", "agents"])
 
 
 @pytest.mark.parametrize(

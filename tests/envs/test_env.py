@@ -54,14 +54,6 @@ def test_specs_of_every_variant(make: Make, kind: Any, variant: str) -> None:
     assert env.full_action_spec["agents", "action"].space.low.unique().tolist() == [-4.5]
 
 
-@each_kind
-def test_specs_below_transforms(make: Make, kind: Any) -> None:
-    transforms = Compose(
-        RewardSum(in_keys=[("agents", "reward")], out_keys=[("agents", "episode_reward")]), StepCounter(max_steps=20)
-    )
-    check_env_specs(TransformedEnv(make(*kind), transforms))
-
-
 def test_specs_of_both_simulators_are_equal(make: Make) -> None:
     config = short(emit=EMIT_GROUPS, lane_change=True)
     ours, theirs = (make(name, 2, config=config) for name in ("twin", "sumo"))
@@ -321,7 +313,8 @@ def test_too_few_approaches_are_refused(make: Make, simulator: str) -> None:
 
 
 def test_worker_processes_do_not_import_torch() -> None:
-    program = "import izoo.envs.sumo.simulator, izoo.envs.sumo.worker, sys; print('torch' in sys.modules)"
+    workers = "izoo.envs.sumo.simulator, izoo.envs.sumo.worker, izoo.envs.twin.runtime.preparers"
+    program = f"import {workers}, sys; print('torch' in sys.modules)"
     output = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
     assert output.stdout.strip() == "False"
 
@@ -334,3 +327,11 @@ def test_observed_features_have_one_order(make: Make) -> None:
             columns = {name: present[:, k] for k, name in enumerate(env.observation_names)}
             assert env.config.observed == ("adoption", "green_s")
             assert (columns["context_adoption"] == 0.5).all() and (columns["context_green_s"] < 1.0).all()
+
+
+@each_kind
+def test_specs_below_transforms(make: Make, kind: Any) -> None:
+    transforms = Compose(
+        RewardSum(in_keys=[("agents", "reward")], out_keys=[("agents", "episode_reward")]), StepCounter(max_steps=20)
+    )
+    check_env_specs(TransformedEnv(make(*kind), transforms))

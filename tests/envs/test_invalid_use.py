@@ -98,24 +98,25 @@ def one_ended(env: EcoDrivingBase, state: TensorDictBase) -> TensorDictBase:
     return steer(state)
 
 
-REFUSED: dict[str, Callable[[EcoDrivingBase, TensorDictBase], TensorDictBase]] = {
-    "one has ended": one_ended,
-    "an action too many": lambda env, state: state.set(("agents", "action"), torch.zeros(2, 64, 2)),
-    "no action": lambda env, state: state.exclude(("agents", "action")),
-    "flags too many": lambda env, state: state.set(("agents", "defer"), torch.zeros(2, 64, 2, dtype=torch.bool)),
-}
+REFUSED: tuple[Callable[[EcoDrivingBase, TensorDictBase], TensorDictBase], ...] = (
+    lambda env, state: state.set(("agents", "action"), torch.zeros(2, 64, 2)),
+    lambda env, state: state.exclude(("agents", "action")),
+    lambda env, state: state.set(("agents", "defer"), torch.zeros(2, 64, 2, dtype=torch.bool)),
+    one_ended,
+)
+"""Numbers too many, no action, flags too many, and an environment whose episode has ended."""
 
 
 @pytest.mark.parametrize("simulator", SIMULATORS)
-@pytest.mark.parametrize("why", REFUSED)
-def test_a_step_that_one_environment_refuses_moves_none(make: Make, why: str, simulator: str) -> None:
+def test_a_step_that_one_environment_refuses_moves_none(make: Make, simulator: str) -> None:
     env = make(simulator, 2, config=short(horizon_s=20.0))
     _, state = play_on(env, 5, steer, env.reset())
-    state = REFUSED[why](env, steer(state))
-    before = moved(env)
-    with pytest.raises(IzooError):
-        env.step(state)
-    assert moved(env) == before and env.backend.started
+    for spoil in REFUSED:
+        refused = spoil(env, steer(state.clone()))
+        before = moved(env)
+        with pytest.raises(IzooError):
+            env.step(refused)
+        assert moved(env) == before and env.backend.started
 
 
 def played(state: TensorDictBase) -> list[int]:
@@ -137,18 +138,18 @@ def test_reset_ignores_the_episode_in_its_input(make: Make, workers: int | None)
         assert played(env.reset(state.set("_reset", torch.tensor([[False], [True]])))) == [6, 9]
 
 
-@pytest.mark.parametrize("key", ["_reset", ("agents", "_reset")])
 @pytest.mark.parametrize("simulator", SIMULATORS)
-def test_reset_flags_at_the_root_or_of_all_agents_choose_environments(make: Make, key: Any, simulator: str) -> None:
+def test_reset_flags_at_the_root_or_of_all_agents_choose_environments(make: Make, simulator: str) -> None:
     env = make(simulator, 2)
     state = play_on(env, 3, steer, env.reset())[1]
     rows = torch.tensor([[False], [True]])
-    flags = rows if key == "_reset" else rows.expand(2, 64).clone()
-    assert played(env.reset(state.clone().set(key, flags.clone()))) == [0, 3] and moved(env) == [3.0, 0.0]
-    if key != "_reset":
-        flags[0, 5] = True
-        with pytest.raises(IzooError, match="some agents of an environment"):
-            env.reset(state.clone().set(key, flags))
+    flags = rows.expand(2, 64).clone()
+    assert played(env.reset(state.clone().set("_reset", rows))) == [0, 3] and moved(env) == [3.0, 0.0]
+    key = ("agents", "_reset")
+    assert played(env.reset(state.clone().set(key, flags.clone()))) == [0, 5] and moved(env) == [3.0, 0.0]
+    flags[0, 5] = True
+    with pytest.raises(IzooError, match="some agents of an environment"):
+        env.reset(state.clone().set(key, flags))
 
 
 @pytest.mark.parametrize("simulator", SIMULATORS)
@@ -158,33 +159,6 @@ def test_a_reset_without_any_flag_changes_nothing(make: Make, simulator: str) ->
     after = env.reset(state.clone().set("_reset", torch.zeros(1, dtype=torch.bool)))
     assert after["metrics", "episode", "steps"].item() == 3 and played(after) == [0]
     assert torch.equal(after["agents", "observation"], state["agents", "observation"])
-
-
-def test_a_second_thread_is_refused(make: Make) -> None:
-    """It would read the answers that the first one waits for."""
-    env = make("sumo", 2)
-    state = steer(env.reset())
-    asking, go_on, real = threading.Event(), threading.Event(), env.backend.step
-
-    def held(meanwhile: Any = None) -> Any:
-        asking.set()
-        go_on.wait(30)
-        return real(meanwhile)
-
-    env.backend.step = held
-    first = threading.Thread(target=env.step, args=(state.clone(),))
-    first.start()
-    try:
-        assert asking.wait(30)
-        for call in (lambda: env.step(state.clone()), env.reset):
-            with pytest.raises(IzooError, match="another thread"):
-                call()
-    finally:
-        go_on.set()
-        first.join(60)
-    env.backend.step = real
-    env.step(state)
-    assert played(env.reset()) == [2, 3], "the refused reset has used up no episodes"
 
 
 def run(program: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -231,28 +205,6 @@ def test_sumo_refuses_a_locale_with_decimal_comma(tmp_path: Path) -> None:
     assert done.returncode == 0 and "numbers have a decimal comma" in done.stdout, done.stderr
 
 
-FORK = """
-import os, sys
-from izoo.envs import SumoParallelEnv
-from tests.envs.worlds import crossing, play_on, short, steer
-env = SumoParallelEnv(2, crossing(), config=short())
-_, state = play_on(env, 3, steer, env.reset())
-child = os.fork()
-if child == 0:
-    sys.exit(0)
-assert os.waitpid(child, 0)[1] == 0
-play_on(env, 3, steer, state)
-assert env.restarts == 0, 'the forked process ended its parent\\'s workers'
-env.close()
-"""
-
-
-@pytest.mark.slow
-def test_a_forked_process_that_ends_leaves_its_parents_workers_alone() -> None:
-    done = run(FORK)
-    assert done.returncode == 0, done.stderr
-
-
 PARALLEL = """
 from torchrl.envs import ParallelEnv
 from izoo.envs import EcoDrivingEnv, SumoParallelEnv, TwinEnv
@@ -282,3 +234,30 @@ def test_torchrls_workers_warn_if_they_play_the_same_episodes(makers: str, disti
     assert done.returncode == 0, done.stderr
     assert int(done.stdout.split()[-1]) == distinct
     assert ("plays the same episodes" in done.stderr.replace("\n", " ")) == ("k=k" not in makers)
+
+
+def test_a_second_thread_is_refused(make: Make) -> None:
+    """It would read the answers that the first one waits for."""
+    env = make("sumo", 2)
+    state = steer(env.reset())
+    asking, go_on, real = threading.Event(), threading.Event(), env.backend.step
+
+    def held(meanwhile: Any = None) -> Any:
+        asking.set()
+        go_on.wait(30)
+        return real(meanwhile)
+
+    env.backend.step = held
+    first = threading.Thread(target=env.step, args=(state.clone(),))
+    first.start()
+    try:
+        assert asking.wait(30)
+        for call in (lambda: env.step(state.clone()), env.reset):
+            with pytest.raises(IzooError, match="another thread"):
+                call()
+    finally:
+        go_on.set()
+        first.join(60)
+    env.backend.step = real
+    env.step(state)
+    assert played(env.reset()) == [2, 3], "the refused reset has used up no episodes"

@@ -46,10 +46,10 @@ def play(env: EcoDrivingParallel, seed: int = 0) -> Frames:
 
 @pytest.mark.filterwarnings("ignore:unknown reset option", "ignore:No agents present")
 def test_pettingzoos_own_tests(env: EcoDrivingParallel) -> None:
-    parallel_api_test(env, 200)
+    parallel_api_test(env, 60)
     parallel_seed_test(functools.partial(parallel_env, crossing(), short(horizon_s=25.0)))
     with contextlib.closing(parallel_env(crossing(), short(lane_change=True), in_process=True)) as changing:
-        parallel_api_test(changing, 100)
+        parallel_api_test(changing, 30)
 
 
 def test_agents_appear_and_leave(env: EcoDrivingParallel) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 
-from izoo.envs import TwinEnv, twin_env
+from izoo.envs import TwinEnv
 from izoo.envs.config import EMIT_GROUPS, RewardConfig
 from izoo.errors import IzooError
 from tests.envs.conftest import Make, MakeTwin
@@ -180,10 +180,3 @@ def test_calls_of_a_closed_environment_are_refused(make: Make, saved: dict[str, 
     for call in calls:
         with pytest.raises(IzooError, match="this environment is closed; make another one"):
             call()
-
-
-def test_states_of_another_layout_are_not_own(saved: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    """They may be as long: fields that are exchanged, for example."""
-    assert twin_env.is_own_state(saved)
-    monkeypatch.setattr(twin_env, "_LAYOUT", twin_env._LAYOUT.replace("'lane'", "'line'"))
-    assert not twin_env.is_own_state(saved)

@@ -7,11 +7,9 @@ import dataclasses
 import functools
 import gc
 import os
-import re
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,16 +19,12 @@ from typing import Any
 import pytest
 import torch
 from tensordict import TensorDict
-from torchrl.envs import ObservationNorm, TransformedEnv
 
 from izoo.contexts.context import Context
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv
-from izoo.envs.sumo import simulator
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
-from izoo.networks.road import RoadNet
-from izoo.traffic.sampling import Traffic, write_routes
-from tests.envs.worlds import crossing, defer, digest, play, play_on, process_of, same, set_action, short, steer
+from tests.envs.worlds import crossing, defer, digest, play, play_on, process_of, same, short, steer
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and sends signals")
 
@@ -95,32 +89,6 @@ def test_a_lost_worker_costs_only_its_episode(pair: SumoParallelEnv, number: int
     assert not after["next", "done"][index].any()
     whole = torch.cat([before[other], frame[other].unsqueeze(0), after[other]], 0)
     assert digest(whole) == digest(undisturbed(101)[other])
-
-
-def test_automatic_reset_after_a_lost_worker(pair: SumoParallelEnv) -> None:
-    """It begins the lost worker's next episode, and keeps the other's state."""
-    _, state = play_on(pair, 30, steer, pair.reset())
-    os.kill(process_of(pair, 0), signal.SIGKILL)
-    frame, after = pair.step_and_maybe_reset(steer(state))
-    assert frame["next", "truncated"].flatten().tolist() == [True, False]
-    assert after["context", "episode"].flatten().tolist() == [2, 1]
-    assert after["metrics", "episode", "steps"].flatten().tolist() == [0.0, 31.0]
-    assert same(after[1], frame["next"][1].exclude("reward", ("agents", "reward")))
-    assert not after["done"].any()
-
-
-def test_transforms_see_the_last_observation_of_a_lost_worker_once() -> None:
-    base = SumoParallelEnv(2, crossing(), config=short(), seed=6)
-    norm = ObservationNorm(loc=1.0, scale=2.0, in_keys=[("agents", "observation")])
-    with contextlib.closing(TransformedEnv(base, norm)) as env:
-        state = env.reset()
-        for _ in range(40):
-            state = env.step(set_action(state, torch.zeros(base.reader.action_shape)))["next"]
-        os.kill(process_of(base, 0), signal.SIGKILL)
-        after = env.step(set_action(state.clone(), torch.zeros(base.reader.action_shape)))["next"]
-        assert after["truncated"].flatten().tolist() == [True, False]
-        assert state["agents", "mask"][0].any()
-        assert torch.equal(after["agents", "observation"][0], state["agents", "observation"][0])
 
 
 @pytest.fixture
@@ -210,26 +178,6 @@ def open_descriptors() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
 
 
-def write_long_routes(traffic: Traffic, road: RoadNet, path: Path) -> None:
-    """Write 2 MiB of nothing, more than SUMO reads at once, before the vehicles that depart after 200 s."""
-    write_routes(traffic, road, path)
-    lines = path.read_text().splitlines(keepends=True)
-    departs = [float(found[1]) if (found := re.search(r'depart="([\d.]+)"', line)) else -1.0 for line in lines]
-    late = next(k for k, depart in enumerate(departs) if depart > 200.0)
-    path.write_text("".join([*lines[:late], " " * 2**21, "\n", *lines[late:]]))
-
-
-def test_episodes_keep_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(simulator, "write_routes", write_long_routes)
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    config = short(horizon_s=420.0, step_s=1.0)
-    with contextlib.closing(EcoDrivingEnv(crossing(), config=config)) as env:
-        state = env.reset()
-        assert list(tmp_path.iterdir()) == []
-        # SUMO reads 200 s of traffic at a time, the rest here from a file that has no name any more.
-        assert play(env, 400, defer, state)[-1]["vehicles", "present"].any()
-
-
 def test_close_leaves_nothing() -> None:
     descriptors = open_descriptors()
     env = SumoParallelEnv(2, crossing(), config=short())
@@ -288,3 +236,15 @@ def test_workers_end_with_their_parent(ending: str, tmp_path: Path) -> None:
         parent.communicate()
     assert not wait_until_gone(pids), "workers have outlived their parent"
     assert not any(path.exists() for path in segments) and list(tmp_path.iterdir()) == []
+
+
+def test_automatic_reset_after_a_lost_worker(pair: SumoParallelEnv) -> None:
+    """It begins the lost worker's next episode, and keeps the other's state."""
+    _, state = play_on(pair, 30, steer, pair.reset())
+    os.kill(process_of(pair, 0), signal.SIGKILL)
+    frame, after = pair.step_and_maybe_reset(steer(state))
+    assert frame["next", "truncated"].flatten().tolist() == [True, False]
+    assert after["context", "episode"].flatten().tolist() == [2, 1]
+    assert after["metrics", "episode", "steps"].flatten().tolist() == [0.0, 31.0]
+    assert same(after[1], frame["next"][1].exclude("reward", ("agents", "reward")))
+    assert not after["done"].any()

@@ -21,9 +21,9 @@ from izoo.metrics.statistics import (
     iqm,
     pooled,
     separate_difference,
+    student_t_quantile,
     typical,
 )
-from izoo.metrics.student import student_t_quantile
 
 LEAST = 0.90
 RUNS, MANY_RUNS = 800, 2000

@@ -6,12 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from izoo.metrics.episode_seeds import EPISODE_SEEDS, MIN_EPISODE_SEEDS, over_episode_seeds
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import pair
-from izoo.metrics.statistics import estimate
-from izoo.metrics.student import student_t_quantile
-from izoo.metrics.summary import summarise
+from izoo.metrics.statistics import estimate, student_t_quantile
+from izoo.metrics.summary import EPISODE_SEEDS, MIN_EPISODE_SEEDS, over_episode_seeds, summarise
 from izoo.report.tables import counts
 from tests.metrics.tables import episode_row
 

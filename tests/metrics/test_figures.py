@@ -73,10 +73,6 @@ def test_a_mean_over_nothing_is_missing_not_0() -> None:
     assert value("throughput", empty) == 0.0
 
 
-def test_a_baseline_that_burns_nothing_has_no_saving() -> None:
-    assert np.isnan(value("co2_saved", episode_row(0.0), episode_row(0.0)))
-
-
 def test_the_form_of_training_equals_that_of_tables() -> None:
     generator = np.random.default_rng(0)
     sums = {name: generator.integers(0, 3, 50).astype(float) for name in APPROACH_METRICS}

@@ -20,8 +20,9 @@ from izoo.metrics.statistics import (
     iqm,
     performance_profile,
     pooled,
+    student_t_below,
+    student_t_quantile,
 )
-from izoo.metrics.student import student_t_below, student_t_quantile
 
 GENERATOR = np.random.default_rng(0)
 X = GENERATOR.normal(1.0, 1.0, (4, 11))

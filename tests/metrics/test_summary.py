@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 
 import numpy as np
 import pandas as pd
@@ -173,12 +172,3 @@ def test_the_generalisation_gap() -> None:
     assert gap["value"] == pytest.approx(training["value"] - here["value"])
     assert 0.0 < gap["low"] < gap["value"] < gap["high"]
     assert summarise(test)["gaps"] == {}
-
-
-def test_twenty_thousand_rows_are_summed_up_within_two_seconds() -> None:
-    savings = {f"policy{k}": np.random.default_rng(k).normal(2.0, 3.0, 400) for k in range(12)}
-    table = compared(savings, train_seeds=dict.fromkeys(savings, 4))
-    assert len(table) == 20_000
-    started = time.process_time()
-    summarise(table)
-    assert time.process_time() - started < 2.0

@@ -175,8 +175,8 @@ def _features(spec: IntersectionSpec, letter: str) -> dict[str, float]:
     [
         (lambda net: net.replace('junction id="TL"', 'junction id="X"'), "junction TL"),
         (lambda net: net.replace('tlLogic id="TL"', 'tlLogic id="X"'), "signal program"),
-        (lambda net: net.replace('id="A2TL"', 'id="A2X"'), "no incoming approach"),
-        (lambda net: net.replace('id="TL2', 'id="X2'), "no outgoing leg"),
+        (lambda net: net.replace('id="A2TL"', 'id="A2X"'), "no junction TL with incoming edges"),
+        (lambda net: net.replace('id="TL2', 'id="X2'), "and outgoing ones"),
         (lambda net: net[:-40], "not well-formed XML"),
         (lambda net: "", "not well-formed XML"),
         (lambda net: net.replace("<net ", "<road ").replace("</net>", "</road>"), "not a SUMO net"),

@@ -10,7 +10,7 @@ from izoo.contexts.procedural import procedural_intersection
 from izoo.contexts.spec import GhostSpec, IntersectionSpec, SignalPhase, SignalPlan
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
-from izoo.networks.net.ghosts import ghost_program
+from izoo.networks.net.programs import ghost_program
 from tests.networks.worlds import saved_states
 
 

@@ -69,11 +69,11 @@ def crossing(*, signal: bool = True) -> Map:
     return plan
 
 
-def build(plan: Map, tmp_path: Path, **options: Any) -> tuple[IntersectionSpec, OsmReport]:
-    """Build a map that has one intersection."""
-    report = build_from_osm(plan.write(tmp_path / "map.osm"), target=tmp_path / "town", **options)
-    (spec,) = load_specs(tmp_path / "town")
-    return spec, report
+def build(plan: Map | Path, tmp_path: Path, **options: Any) -> tuple[IntersectionSpec, OsmReport]:
+    """Build a map into ``town``; return its first intersection as well."""
+    extract = plan.write(tmp_path / "map.osm") if isinstance(plan, Map) else plan
+    report = build_from_osm(extract, target=tmp_path / "town", **options)
+    return load_specs(tmp_path / "town")[0], report
 
 
 def approach(spec: IntersectionSpec, leg: str) -> Approach:
@@ -97,7 +97,7 @@ def test_a_plain_crossing_in_full(tmp_path: Path) -> None:
     assert "length of B" not in spec.imputed and "length of D" in spec.imputed
     assert "lanes of A" in spec.imputed and "lanes of B" not in spec.imputed
     assert {f"{what} of {leg}" for what in ("AADT", "grade") for leg in "ABCD"} <= set(spec.imputed)
-    assert report.approaches == 4 and report.stray_signals == 1 and "built 1 intersection with" in str(report)
+    assert len(spec.approach_names) == 4 and report.stray_signals == 1 and "built 1 intersection with" in str(report)
     contexts = load_dataset(tmp_path / "town", adoption=0.5)
     assert [context.approach for context in contexts] == ["A", "B", "C", "D"]
 
@@ -437,14 +437,9 @@ def test_the_build_is_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyP
     extract, target = crossing().write(tmp_path / "map.osm"), tmp_path / "town"
     build_from_osm(extract, target=target)
     before = {path.name: path.read_bytes() for path in target.iterdir()}
-
-    def fail(*_: object, **__: object) -> str:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(osm_store.json, "dumps", fail)
-    with pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(osm_store, "asdict", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
         build_from_osm(extract, target=target)
-    monkeypatch.undo()
     assert {path.name: path.read_bytes() for path in target.iterdir()} == before
     partial_of(tmp_path / "town").mkdir()  # as a process that died has left it
     build_from_osm(extract, target=target)
@@ -452,28 +447,17 @@ def test_the_build_is_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyP
     (target / "notes.txt").write_text("mine")
     with pytest.raises(IzooError, match=r"holds other files \(notes\.txt\)"):
         build_from_osm(extract, target=target)
-    with pytest.raises(IzooError, match="cannot write to"):
-        build_from_osm(extract, target=extract / "inside")
 
 
 def test_a_damaged_build_is_refused(tmp_path: Path) -> None:
     build(crossing(), tmp_path)
-    target = tmp_path / "town"
-    record = json.loads((target / "1.json").read_text())
+    file = tmp_path / "town" / "1.json"
+    record = json.loads(file.read_text())
     assert "OpenStreetMap" in record["attribution"] and record["streets"]["B"] == "Main Street"
-    (target / "1.json").write_text(json.dumps({**record, "format": "izoo-osm-0"}))
-    with pytest.raises(IzooError, match="not of the format izoo-osm-1"):
-        load_dataset(target)
-    (target / "1.json").write_text(json.dumps({**record, "spec": {"legs": 3}}))
-    with pytest.raises(IzooError, match="is damaged"):
-        load_dataset(target)
-    for text in ("{", 100_000 * "["):
-        (target / "1.json").write_text(text)
-        with pytest.raises(IzooError, match="is damaged"):
-            load_dataset(target)
-    (target / "1.json").unlink()
-    with pytest.raises(IzooError, match="cannot read"):
-        load_dataset(target)
+    for changed, message in (({"format": "izoo-osm-0"}, "not of the format izoo-osm-1"), ({"spec": {}}, "is damaged")):
+        file.write_text(json.dumps({**record, **changed}))
+        with pytest.raises(IzooError, match=message):
+            load_dataset(tmp_path / "town")
 
 
 EXTRACTS = {

@@ -8,11 +8,9 @@ from pathlib import Path
 import pytest
 
 from izoo.errors import IzooError
-from izoo.networks.dataset.intersections import load_specs
-from izoo.networks.osm.extract import build_from_osm
 from izoo.networks.osm.streets import Way, read_streets
 from izoo.networks.osm.tags import parse_speed, speed_limit
-from tests.networks.test_osm import Map, approach, crossing, way
+from tests.networks.test_osm import Map, approach, build, crossing, way
 
 pytest.importorskip("osmium", reason="reading OpenStreetMap needs the extra izoo[osm]")
 
@@ -40,7 +38,7 @@ def side_street(**signal: str) -> Map:
 def test_a_crossing_for_pedestrians_makes_no_intersection(
     tmp_path: Path, signal: dict[str, str], intersections: int
 ) -> None:
-    report = build_from_osm(side_street(**signal).write(tmp_path / "map.osm"), target=tmp_path / "town")
+    _, report = build(side_street(**signal), tmp_path)
     assert len(report.streets) == intersections and report.stray_signals == 3 - intersections
 
 
@@ -49,15 +47,15 @@ def test_stop_lines_that_are_crossings_too_make_one(tmp_path: Path) -> None:
     plan = side_street(crossing="traffic_signals")
     plan.node(23, -400, -15, highway="traffic_signals", crossing="traffic_signals")
     plan.ways[-1] = plan.ways[-1].replace('<nd ref="5"/>', '<nd ref="5"/><nd ref="23"/>')
-    report = build_from_osm(plan.write(tmp_path / "map.osm"), target=tmp_path / "town")
+    _, report = build(plan, tmp_path)
     assert len(report.streets) == 2
 
 
 @pytest.mark.parametrize("what", ["blinker", "emergency", "ramp_meter"])
 def test_lights_without_a_cycle_make_no_intersection(tmp_path: Path, what: str) -> None:
     plan = side_street(traffic_signals=what)
-    report = build_from_osm(plan.write(tmp_path / "map.osm"), target=tmp_path / "town")
-    assert len(report.streets) == 1 and (report.stray_signals, report.uncycled_signals) == (1, 1)
+    _, report = build(plan, tmp_path)
+    assert len(report.streets) == 1 and (report.stray_signals, report.read.uncycled) == (1, 1)
     assert "1 signal nodes blink, meter a ramp or wait for emergencies: no cycle" in str(report)
 
 
@@ -71,7 +69,7 @@ def test_lights_without_a_cycle_make_no_intersection(tmp_path: Path, what: str) 
 )
 def test_small_extracts_without_an_intersection(faults: Path, tmp_path: Path, name: str, message: str) -> None:
     with pytest.raises(IzooError, match=f"no usable intersection with traffic signals .{message}"):
-        build_from_osm(faults / "osm" / f"{name}.osm", target=tmp_path / "town")
+        build(faults / "osm" / f"{name}.osm", tmp_path)
 
 
 @pytest.mark.parametrize("suffix", [".osm", ".osm.gz"])
@@ -79,14 +77,12 @@ def test_what_an_editor_deleted_is_gone(faults: Path, tmp_path: Path, suffix: st
     text = (faults / "osm" / "josm_deleted.osm").read_bytes()
     path = tmp_path / f"map{suffix}"
     path.write_bytes(gzip.compress(text) if suffix.endswith("gz") else text)
-    build_from_osm(path, target=tmp_path / "town")
-    (spec,) = load_specs(tmp_path / "town")
+    spec, _ = build(path, tmp_path)
     assert [round(leg.bearing_deg) for leg in spec.legs] == [0, 90, 270]
 
 
 def test_two_nodes_in_one_place_do_not_end_a_street(faults: Path, tmp_path: Path) -> None:
-    build_from_osm(faults / "osm" / "samepos.osm", target=tmp_path / "town")
-    (spec,) = load_specs(tmp_path / "town")
+    spec, _ = build(faults / "osm" / "samepos.osm", tmp_path)
     assert approach(spec, "D").length_m == pytest.approx(200.0, abs=1.0)
     plan = crossing()
     plan.node(30, 0, 0)
@@ -96,8 +92,8 @@ def test_two_nodes_in_one_place_do_not_end_a_street(faults: Path, tmp_path: Path
 
 
 def test_reversible_streets_are_named(faults: Path, tmp_path: Path) -> None:
-    report = build_from_osm(faults / "osm" / "oneway_rev.osm", target=tmp_path / "town")
-    assert report.reversible == ("West",)
+    _, report = build(faults / "osm" / "oneway_rev.osm", tmp_path)
+    assert report.read.reversible == ("West",)
     assert "taken as two-way, whatever their direction by time: West" in str(report)
 
 
@@ -118,18 +114,11 @@ def test_reversible_streets_are_named(faults: Path, tmp_path: Path) -> None:
 def test_small_extracts(
     faults: Path, tmp_path: Path, name: str, lanes: tuple[str, ...], exit_lanes: int | None
 ) -> None:
-    build_from_osm(faults / "osm" / f"{name}.osm", target=tmp_path / "town")
-    (spec,) = load_specs(tmp_path / "town")
+    spec, _ = build(faults / "osm" / f"{name}.osm", tmp_path)
     assert approach(spec, "D").lanes == lanes
     if exit_lanes is not None:
         assert spec.leg("D").exit_lanes == exit_lanes and "lanes of D" not in spec.imputed
     assert spec.right_on_red == (name != "no_rtor")
-
-
-def test_a_street_that_is_closed_to_cars_is_no_leg(faults: Path, tmp_path: Path) -> None:
-    build_from_osm(faults / "osm" / "access_bus.osm", target=tmp_path / "town")
-    (spec,) = load_specs(tmp_path / "town")
-    assert [round(leg.bearing_deg) for leg in spec.legs] == [90, 180, 270]
 
 
 SPEEDS = {

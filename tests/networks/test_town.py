@@ -12,17 +12,18 @@ import pytest
 
 from izoo.cli.contexts import CONTEXTS
 from izoo.contexts.context import Context
-from izoo.contexts.spec import CountedApproach, IntersectionSpec
+from izoo.contexts.spec import IntersectionSpec
 from izoo.errors import IzooError
 from izoo.networks.dataset.intersections import load_specs
 from izoo.networks.net.build import build_net, net_key
-from izoo.networks.osm.driving_side import left_hand_region
 from izoo.networks.osm.extract import build_from_osm
+from izoo.networks.osm.streets import left_hand_region
 from izoo.networks.road import read_road
 from izoo.networks.signals.delay import peak_movements
-from izoo.results.contexts_file import context_from_dict
+from izoo.results.store import context_from_dict
 from izoo.traffic.sampling import sample_traffic
 from tests.networks.test_osm import Map, approach, crossing
+from tests.networks.test_osm import build as osm_build
 
 pytest.importorskip("osmium", reason="reading OpenStreetMap needs the extra izoo[osm]")
 
@@ -41,8 +42,7 @@ PLAN = {
 
 
 def build(tmp_path: Path, plan: Map | None = None, **options: Any) -> IntersectionSpec:
-    build_from_osm((plan or crossing()).write(tmp_path / "map.osm"), target=tmp_path / "town", **options)
-    return load_specs(tmp_path / "town")[0]
+    return osm_build(plan or crossing(), tmp_path, **options)[0]
 
 
 def edit(file: Path, plan: Any) -> None:
@@ -155,8 +155,8 @@ def test_turning_counts_are_played(tmp_path: Path) -> None:
     spec = build(tmp_path, counts=counts_file(tmp_path))
     west, north = approach(spec, "D"), approach(spec, "A")
     assert west.aadt_per_lane * 0.084 * west.main_lane_count == pytest.approx(400.0)
-    assert isinstance(west, CountedApproach) and dict(west.exit_counts) == {"A": 30.0, "B": 300.0, "C": 70.0}
-    assert isinstance(north, CountedApproach) and dict(north.exit_counts) == {"C": 40.0}
+    assert dict(west.exit_counts) == {"A": 30.0, "B": 300.0, "C": 70.0}
+    assert dict(north.exit_counts) == {"C": 40.0}
     assert approach(spec, "B") == approach(before, "B")
     assert not {"AADT of D", "AADT of A"} & set(spec.imputed) and "AADT of B" in spec.imputed
     road = read_road(build_net(spec))
@@ -175,7 +175,7 @@ def test_counts_may_be_edited(tmp_path: Path) -> None:
     plain = Context(build(tmp_path))
     file = tmp_path / "town" / "1.json"
     record = json.loads(file.read_text())
-    assert "exit_counts" not in record["spec"]["legs"][0]["approach"], "without counts nothing is as it was not"
+    assert not record["spec"]["legs"][0]["approach"]["exit_counts"]
     record["spec"]["legs"][0]["approach"]["exit_counts"] = [["A", 2]]
     file.write_text(json.dumps(record))
     with pytest.raises(IzooError, match=r"1\.json: no lane serves A to A; choose among A to B"):
@@ -184,7 +184,7 @@ def test_counts_may_be_edited(tmp_path: Path) -> None:
     file.write_text(json.dumps(record))
     edited = Context(load_specs(tmp_path / "town")[0])
     side = approach(edited.intersection, "A")
-    assert isinstance(side, CountedApproach) and side.exit_counts == (("C", 2.0), ("B", 1.0))
+    assert side.exit_counts == (("C", 2.0), ("B", 1.0))
     assert edited.content_hash != plain.content_hash
     assert net_key(edited.intersection) != net_key(plain.intersection), "another plan is best"
     for again in (
@@ -272,7 +272,7 @@ def test_left_hand_traffic_is_mirrored(tmp_path: Path) -> None:
 
 def test_london_and_sydney_are_mirrored(faults: Path, tmp_path: Path) -> None:
     report = build_from_osm(faults / "osm" / "london.osm", target=tmp_path / "town")
-    assert report.mirrored == "Great Britain and Ireland"
+    assert report.read.mirrored == "Great Britain and Ireland"
     assert "traffic drives on the left there (Great Britain and Ireland): all intersections are mirrored" in str(report)
     (spec,) = load_specs(tmp_path / "town")
     streets = {name: leg for leg, name in next(iter(report.streets.values())).items()}
@@ -283,9 +283,9 @@ def test_london_and_sydney_are_mirrored(faults: Path, tmp_path: Path) -> None:
         (faults / "osm" / "london.osm").read_text().replace('lat="51.', 'lat="-33.').replace('lon="-0.1', 'lon="151.1')
     )
     (tmp_path / "sydney.osm").write_text(moved)
-    assert build_from_osm(tmp_path / "sydney.osm", target=tmp_path / "sydney").mirrored == "Australia"
+    assert build_from_osm(tmp_path / "sydney.osm", target=tmp_path / "sydney").read.mirrored == "Australia"
     report = build_from_osm(faults / "osm" / "london.osm", target=tmp_path / "as_it_is", drives_on="right")
-    assert report.mirrored == "" and "mirrored" not in str(report)
+    assert report.read.mirrored == "" and "mirrored" not in str(report)
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from izoo.contexts.spec import IntersectionSpec
-from izoo.networks.dataset.intersections import load_specs
-from izoo.networks.osm.extract import build_from_osm
-from tests.networks.test_osm import METRE, Map, approach
+from tests.networks.test_osm import METRE, Map, approach, build
 
 pytest.importorskip("osmium", reason="reading OpenStreetMap needs the extra izoo[osm]")
 
@@ -48,13 +45,8 @@ def rule(plan: Map, kind: str, start: list[int], via: str, end: list[int], **tag
 
 
 def turns(plan: Map, tmp_path: Path) -> dict[str, str]:
-    spec = built(plan, tmp_path)
+    spec, _ = build(plan, tmp_path)
     return {leg: "".join(t for t in "rsl" if any(t in lane for lane in approach(spec, leg).lanes)) for leg in "ABCD"}
-
-
-def built(plan: Map, tmp_path: Path) -> IntersectionSpec:
-    build_from_osm(plan.write(tmp_path / "map.osm"), target=tmp_path / "town")
-    return load_specs(tmp_path / "town")[0]
 
 
 ALL = dict.fromkeys("ABCD", "rsl")
@@ -120,7 +112,7 @@ def test_a_way_that_goes_on_behind_the_junction_is_told_by_the_word(tmp_path: Pa
 
 def test_turns_on_red_are_forbidden_where_an_approach_forbids_them(tmp_path: Path) -> None:
     plan = dual_carriageway(-100.0, 40.0)  # in North America
-    assert built(plan, tmp_path).right_on_red
+    assert build(plan, tmp_path)[0].right_on_red
     rule(plan, "no_right_turn_on_red", [WEST], "node 2", [SOUTH])
-    spec = built(plan, tmp_path)
+    spec, _ = build(plan, tmp_path)
     assert not spec.right_on_red and "r" in "".join(approach(spec, "D").lanes)

@@ -13,7 +13,7 @@ from izoo.envs.mdp.metric_sums import MOVEMENT_METRICS
 from izoo.report.movements import movements_table, town_maps
 from izoo.report.page import write_report
 from izoo.report.report_data import collect
-from izoo.results.contexts_file import add_contexts, read_contexts
+from izoo.results.store import add_contexts, read_contexts
 from tests.report.made_tables import folder, table
 
 

@@ -13,10 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from izoo.conf.report_options import ReportConfig
 from izoo.metrics.figures import FIGURES
 from izoo.report import tables
-from izoo.report.__main__ import COMMAND, main
+from izoo.report.__main__ import main
 from izoo.report.report_data import collect
 from tests.report.made_tables import folder, table
 
@@ -187,25 +186,3 @@ def test_a_foreign_file_is_not_overwritten_but_a_report_is(results: Path, tmp_pa
     for title in ("one", "two"):
         assert main([str(results), f"out={page}", f"title={title}", "replay=false"]) == 0
     assert "<title>two" in page.read_text()
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ([], "give one folder"),
-        (["a", "b"], "give one folder"),
-        (["a", "repaly=true"], "repaly"),
-        (["a", "replay=perhaps"], "perhaps"),
-        (["a", "--out"], "--out"),
-    ],
-)
-def test_bad_options_are_refused(words: list[str], message: str, capsys) -> None:
-    assert main(words) == 2
-    assert message in capsys.readouterr().err
-
-
-def test_options() -> None:
-    words = ["results", "out=a=b.html", "title=one -> 'two'", "task=busy_lane", "replay=false", "imports=true"]
-    config = COMMAND.compose(COMMAND.named(words))
-    assert config == ReportConfig("results", "busy_lane", "a=b.html", "one -> 'two'", replay=False, imports=True)
-    assert COMMAND.compose(["results=a", "title=null"]).title is None

@@ -16,7 +16,7 @@ from izoo.envs.twin.backend import TwinBackend
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
-from izoo.report.recording import Recorder, geometry, second_differences
+from izoo.report.recording import Recorder, geometry
 from izoo.report.replay import Player, scenes
 from izoo.report.report_data import collect
 from izoo.results.rollout import evaluate_policy
@@ -27,12 +27,6 @@ from tests.conftest import SHORT
 def positions(vehicle: list) -> np.ndarray:
     """Path positions of a recorded vehicle in m, as the page's script computes them."""
     return np.cumsum(np.cumsum(vehicle[6])) / 10.0
-
-
-def test_second_differences_read_back() -> None:
-    values = [-1405, -1343, -1280, -1218, 40, 39]
-    assert np.cumsum(np.cumsum(second_differences(values))).tolist() == values
-    assert second_differences([]) == []
 
 
 def test_a_recording_says_where_vehicles_were(contexts) -> None:

@@ -105,18 +105,6 @@ def test_a_run_does_not_make_the_report_import_code(
     assert (tmp_path / "ran").exists()
 
 
-def test_damaged_runs_are_named_and_do_not_hide_the_others(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (folder / "5-run").mkdir()
-    (folder / "5-run" / run_folder.CONFIG_FILE).write_text("algo: [")
-    (folder / "0-run" / "evaluations" / "last" / "rows.csv").write_text("{")
-    with (folder / "1-run" / run_folder.METRICS_FILE).open("a") as file:
-        file.write("20")  # a row cut short by a kill
-    assert report.main([str(folder)]) == 0
-    assert "5-run: cannot read" in capsys.readouterr().out.replace("\n", "")
-    rows = pd.read_csv(folder / sweeps.RUNS_FILE)
-    assert rows["frames"].tolist() == [1000, 1000, 1000, 400, 0]
-
-
 def test_a_multirun_of_the_command_gives_a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     words = ["contexts=pcg_easy", "env.horizon_s=75", "algo.hidden=[8]", "evaluation.contexts=0", "total_frames=100"]

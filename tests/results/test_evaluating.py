@@ -10,7 +10,6 @@ import yaml
 
 from izoo import train
 from izoo.conf.context_choices import PcgContexts
-from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.contexts.source import ContextList
 from izoo.evaluate import main
 from izoo.results.rollout import DRAIN_S
@@ -122,21 +121,6 @@ def test_options_of_a_runs_own_contexts_are_changed(
     assert "contexts.split" in capsys.readouterr().err
     assert main(["run=run", "contexts.adoption=0.5", "num_contexts=1", "seeds=1", "num_workers=0", *short[:2]]) == 0
     assert ": pcg, 1 context" in capsys.readouterr().out
-
-
-def test_what_the_system_says_of_a_path_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    long = "x" * 300
-    assert main(["policy=glide", "contexts=dataset", f"contexts.path={long}"]) == 2
-    error = capsys.readouterr().err
-    told = "File name too long" in error or "does not exist" in error  # the latter from Python 3.14 on
-    assert told and "Traceback" not in error and error.count("\n") == 1
-
-
-def test_a_tilde_that_means_nobody_stays_a_tilde(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    assert EvaluateConfig(out="~nobodyofthisname/x").out == str(tmp_path / "~nobodyofthisname" / "x")
-    assert EvaluateConfig(out="~/x").out == str(tmp_path / "home" / "x")
 
 
 def test_contexts_are_drawn_without_end_or_taken_from_a_list(contexts) -> None:

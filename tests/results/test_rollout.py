@@ -21,9 +21,8 @@ from izoo.errors import IzooError
 from izoo.networks.net import build
 from izoo.results import evaluate_policy, read_table, summarise
 from izoo.results.cache import EpisodeCache, baseline_context
-from izoo.results.contexts_file import read_contexts
 from izoo.results.playing import EpisodeFailed, Setup
-from izoo.results.store import PolicyRecord, read_manifest
+from izoo.results.store import PolicyRecord, read_contexts, read_manifest
 from tests.conftest import SHORT
 from tests.results import odd_policies as drivers
 from tests.results.conftest import SEEDS
@@ -92,23 +91,14 @@ def test_the_nets_of_sumo_are_built_together(tmp_path: Path, monkeypatch: pytest
     assert len(played) == len(list(tmp_path.rglob("*.net.xml"))) == 3
 
 
-def test_random_driver_is_reproducible_in_any_order(contexts: list[Context], cache: Path) -> None:
-    options = {"workers": 0, "progress": False, "cache": cache, "baselines": ()}
-    forward = evaluate_policy("random", contexts, SEEDS, SHORT, **options)
-    backward = evaluate_policy("random", contexts[::-1], SEEDS[::-1], SHORT, **options)
+@pytest.mark.parametrize("make", [drivers.Tiring, drivers.Remembering, drivers.Drawing, drivers.Numpy, str])
+def test_no_policy_plays_otherwise_for_what_it_played_before(make: type, contexts: list[Context], cache: Path) -> None:
+    """One that counts, one with memory, and some that draw from a generator of their own, of numpy or of torch."""
+    options = {"progress": False, "cache": cache, "baselines": (), "workers": 0}
+    forward = evaluate_policy(make() or "random", contexts, SEEDS, SHORT, **options)
+    backward = evaluate_policy(make() or "random", contexts[::-1], SEEDS[::-1], SHORT, **options)
     assert_frame_equal(forward, backward, check_exact=True)
-
-
-@pytest.mark.parametrize("make", [drivers.Tiring, drivers.Remembering, drivers.Drawing, drivers.Numpy])
-def test_no_policy_plays_otherwise_for_what_it_played_before(
-    make: type, contexts: list[Context], cache: Path, tmp_path: Path
-) -> None:
-    """One that counts, one with memory, and one that draws from a generator of its own or of numpy."""
-    options = {"progress": False, "cache": cache, "baselines": ()}
-    forward = evaluate_policy(make(), contexts, SEEDS, SHORT, workers=0, **options)
-    backward = evaluate_policy(make(), contexts[::-1], SEEDS[::-1], SHORT, workers=0, **options)
-    assert_frame_equal(forward, backward, check_exact=True)
-    assert (forward.loc[forward["policy"] == "policy", "deferred_steps"] > 0).any(), "the policy acted"
+    assert (forward["agent_steps"] > 0).any() and forward["episode_steps"].gt(0).all()
 
 
 def test_recurrent_policies_keep_what_they_write_for_the_next_step(contexts: list[Context], cache: Path) -> None:
@@ -231,8 +221,6 @@ def test_baselines_are_played_once(contexts: list[Context], cache: Path, table: 
     options = {"workers": 0, "progress": False, "cache": cache / "other", "baselines": ()}
     again = evaluate_policy("human", contexts[:1], SEEDS[:1], SHORT, **options)
     assert again["crossed"].tolist() == [12345.0]
-    next((cache / "other").rglob("*.npz")).write_bytes(b"damaged")
-    assert others.get("human", played, SEEDS[0]) is None
 
 
 @pytest.mark.parametrize(
@@ -303,14 +291,3 @@ def test_a_stopped_process_is_replaced_in_the_time_of_the_watchdog(
     gentle = evaluate_policy(drivers.gentle, contexts[:1], SEEDS, config, workers=0, progress=False, cache=cache)
     columns = ["policy", *APPROACH_METRICS]
     assert_frame_equal(table[columns], gentle[columns])
-    assert not [child for child in own_children() if stopped(child)]
-
-
-def own_children() -> list[int]:
-    """Processes that this one has started."""
-    tasks = Path("/proc/self/task").iterdir()
-    return [int(pid) for task in tasks for pid in (task / "children").read_text().split()]
-
-
-def stopped(pid: int) -> bool:
-    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "T"

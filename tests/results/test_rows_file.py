@@ -30,15 +30,6 @@ def test_whole_numbers_that_a_table_program_wrote_are_read(tmp_path: Path) -> No
     assert read(tmp_path / "rows.csv") == [{"name": "a", "seed": 3, "share": 0.5, "good": True}]
 
 
-def test_a_group_that_was_cut_short_is_dropped(tmp_path: Path) -> None:
-    file = RowsFile(tmp_path / "rows.csv", COLUMNS, TEXT, WHOLE)
-    file.add([{"name": "a", "seed": 1, "share": 0.5, "good": True}])
-    with (tmp_path / "rows.csv").open("a") as stream:
-        stream.write("b,2,0.2")
-    assert [row["name"] for row in read(tmp_path / "rows.csv")] == ["a"]
-    assert (tmp_path / "rows.csv").read_text().endswith("True\n\n")
-
-
 @pytest.mark.parametrize(
     ("content", "said"),
     [

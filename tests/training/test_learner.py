@@ -21,7 +21,6 @@ from izoo.algos.learners.td3 import TD3Config
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
-from izoo.training import learner as learning
 from izoo.training.learner import Learner, learner_device, to_learner
 from tests.algos import frames
 
@@ -67,30 +66,12 @@ def test_exploration_goes_on_where_it_was(monkeypatch: pytest.MonkeyPatch) -> No
         assert torch.equal(collect(first, monkeypatch)[base.ACTION], collect(second, monkeypatch)[base.ACTION])
 
 
-@pytest.mark.parametrize("name", ["ddpg", "residual"])
-def test_an_optimiser_of_other_networks_is_refused(name: str) -> None:
-    """A residual has the algorithm that learns inside."""
-    learner = make(name, CPU)
-    state = learner.state_dict()
-    other = {"step": torch.tensor(1.0), "exp_avg": torch.zeros(3, 3), "exp_avg_sq": torch.zeros(1)}
-    state["algorithm"]["optimiser"]["state"][0] = other
-    with pytest.raises(ValueError, match="the optimiser's exp_avg is"):
-        learner.load_state_dict(state)
-
-
 def weights(policy: torch.nn.Module) -> dict[str, torch.Tensor]:
     return {key: value.clone() for key, value in policy.state_dict().items() if torch.is_tensor(value)}
 
 
 @pytest.mark.parametrize("name", CONFIGS)
 def test_learning_elsewhere_is_the_same_and_its_weights_come_back(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    moved: list[torch.device] = []
-
-    def counted(batch: Any, device: torch.device) -> Any:
-        moved.append(device)
-        return to_learner(batch, device)
-
-    monkeypatch.setattr(learning, "to_learner", counted)
     here, there = make(name, CPU), make(name, OTHER)
     assert here.policy is here.algorithm.policy and there.policy is not there.algorithm.policy
     before = weights(there.policy)
@@ -98,7 +79,6 @@ def test_learning_elsewhere_is_the_same_and_its_weights_come_back(name: str, mon
         batch = collect(learner, monkeypatch)
         torch.manual_seed(2)
         learner.update(batch, 0.25)
-    assert moved == [CPU, OTHER], "each batch crosses once, in one place"
     after = weights(there.policy)
     assert any(not torch.equal(before[key], after[key]) for key in after), "learning changed nothing"
     for key, value in weights(here.policy).items():
@@ -118,11 +98,39 @@ def test_what_was_learned_on_one_device_goes_on_on_another(name: str, monkeypatc
     assert all(torch.equal(value, expected[key]) for key, value in weights(second.policy).items())
 
 
-def test_batches_that_are_at_home_are_not_copied() -> None:
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@pytest.mark.parametrize("resumed", [False, True])
+def test_gradient_steps_that_a_gpu_replays_learn_what_those_that_are_launched_do(
+    monkeypatch: pytest.MonkeyPatch, resumed: bool
+) -> None:
+    found = []
+    for replays in (True, False):
+        learner = make("ppo", torch.device("cuda"))
+        assert learner.algorithm._replayed is not None
+        if not replays:
+            learner.algorithm._replayed = None
+        for progress in (0.0, 0.5):
+            batch = collect(learner, monkeypatch)
+            torch.manual_seed(2)
+            stats = learner.update(batch, progress)
+            assert stats["gradient_steps"] > 4 and stats["lr"] == pytest.approx(5e-4 * (1.0 - progress))
+            if resumed:
+                learner.load_state_dict(copy.deepcopy(learner.state_dict()))
+        found.append((stats, weights(learner.policy)))
+    (one, replayed), (other, launched) = found
+    assert one == pytest.approx(other, rel=1e-3, abs=1e-5)
+    for key, value in launched.items():
+        torch.testing.assert_close(replayed[key], value, rtol=1e-4, atol=1e-6)
+
+
+def test_batches_cross_whole_but_for_observations_of_empty_slots() -> None:
     batch = frames.make_frames()
     assert to_learner(batch, CPU) is batch
-    moved = to_learner(batch, torch.device("meta"))
-    assert {leaf.device.type for leaf in moved.values(True, True)} == {"meta"}
+    moved = to_learner(batch, OTHER)
+    assert set(moved.keys(True, True)) == set(batch.keys(True, True))
+    for place in ((), ("next",)):
+        mask, seen = batch.get((*place, "agents", "mask")), batch.get((*place, "agents", "observation"))
+        assert torch.equal(moved.get((*place, "agents", "observation")), seen * mask.unsqueeze(-1))
 
 
 def test_a_missing_gpu_is_refused(

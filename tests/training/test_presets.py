@@ -22,7 +22,14 @@ WORDS = [
 ]
 
 
-@pytest.mark.parametrize("choice", [choice for choice, options in OPTIONS.items() if "frames_per_batch" in options])
+LEARNING = [choice for choice, options in OPTIONS.items() if "frames_per_batch" in options]
+QUICK = ("ppo_vehicle", "mappo", "gcrl_paper", "ddpg", "td3")
+"""One of each learner; the slow tests have the others."""
+
+
+@pytest.mark.parametrize(
+    "choice", [pytest.param(choice, marks=() if choice in QUICK else pytest.mark.slow) for choice in LEARNING]
+)
 def test_every_preset_learns_from_a_batch(choice: str, tmp_path: Path) -> None:
     """So does ``gcrl_paper``, whose graph has no bound of distance: rows must be finite all the same."""
     run_dir = tmp_path / "run"
@@ -32,3 +39,4 @@ def test_every_preset_learns_from_a_batch(choice: str, tmp_path: Path) -> None:
     losses = {name: float(value) for name, value in row.items() if name.startswith("loss_")}
     assert len(losses) >= 2, "of the policy and of the values"
     assert all(map(math.isfinite, losses.values()))
+    assert 0.0 < float(row["decisions"]) <= 160.0 * float(row["agents"]) + 1e-3, "whatever learns"

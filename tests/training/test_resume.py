@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import shutil
 import signal
 from pathlib import Path
 
@@ -95,18 +96,6 @@ def test_a_killed_and_resumed_run_ends_like_an_uninterrupted_one(words: list[str
             assert torch.equal(leaf, resumed[path]), path  # type: ignore[arg-type]
         elif not path.endswith("/seconds"):
             assert leaf == resumed[path], path
-
-
-@pytest.mark.slow
-def test_a_run_that_was_killed_before_its_first_checkpoint_begins_again(tmp_path: Path) -> None:
-    run_dir = tmp_path / "run"
-    assert train.main([*TOY, "collector=single", "total_frames=200", f"run_dir={run_dir}"]) == 0
-    before = flat(checkpoint.load(checkpoint.find(run_dir)))
-    for path in checkpoint.listed(run_dir):
-        path.unlink()
-    assert train.main([f"resume={run_dir}"]) == 0
-    after = flat(checkpoint.load(checkpoint.find(run_dir)))
-    assert all(torch.equal(leaf, after[path]) for path, leaf in before.items() if isinstance(leaf, torch.Tensor))
 
 
 def test_a_run_that_is_resumed_further_back_gives_up_later_checkpoints_once_it_has_one_of_its_own(
@@ -248,12 +237,19 @@ def test_an_episode_that_does_not_repeat_itself_is_refused() -> None:
         history.at(0, torch.tensor([True, False, False, False]))
 
 
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of one batch, to be copied."""
+    run_dir = tmp_path_factory.mktemp("trained") / "run"
+    assert train.main([*toy.TOY, "total_frames=50", f"run_dir={run_dir}"]) == 0
+    return run_dir
+
+
 @pytest.mark.parametrize("name", [run_folder.CONFIG_FILE, run_folder.METRICS_FILE, "checkpoints/step-000000000050.pt"])
 def test_a_file_that_cannot_be_read_is_one_sentence(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run_dir = tmp_path / "run"
-    assert train.main([*toy.TOY, "total_frames=50", f"run_dir={run_dir}"]) == 0
+    run_dir = shutil.copytree(trained, tmp_path / "run")
     (run_dir / name).write_bytes(bytes(range(256)) * 4)
     kept = {path: path.read_bytes() for path in run_dir.rglob("*") if path.is_file() and path.suffix != ".yaml"}
     assert train.main([f"resume={run_dir}", "total_frames=100"]) == 2
@@ -262,9 +258,8 @@ def test_a_file_that_cannot_be_read_is_one_sentence(
     assert {path: path.read_bytes() for path in kept} == kept
 
 
-def test_a_run_that_was_moved_goes_on(tmp_path: Path) -> None:
-    assert train.main([*toy.TOY, "total_frames=50", f"run_dir={tmp_path / 'run'}"]) == 0
-    moved = (tmp_path / "run").rename(tmp_path / "elsewhere")
+def test_a_run_that_was_moved_goes_on(trained: Path, tmp_path: Path) -> None:
+    moved = shutil.copytree(trained, tmp_path / "elsewhere")
     assert train.main([f"resume={moved}", "total_frames=100"]) == 0
     assert checkpoint.load(checkpoint.find(moved))["frames"] == 100
     with pytest.raises(IzooError, match=r"is one checkpoint, so checkpoint=best chooses nothing"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
@@ -12,7 +12,7 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torchrl.collectors import Collector
-from torchrl.envs import EnvBase, RewardScaling, TransformedEnv
+from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos.actions.action_modes import ResidualAction
@@ -59,12 +59,9 @@ def collecting(
     config: EnvConfig = CONFIG,
     exploration: ExplorationType = ExplorationType.RANDOM,
     workers: int = 1,
-    around: Callable[[EnvBase], EnvBase] = lambda env: env,
 ) -> Iterator[Collector]:
     """A collector of batches ``[workers, STEPS]``, or ``[STEPS]`` where one environment is in this process."""
-    contexts = crossing()
-    env = env_of(workers, contexts, config)
-    collector = collectors.in_process(around(env), policy, workers * STEPS)
+    collector = collectors.in_process(env_of(workers, crossing(), config), policy, workers * STEPS)
     collector.exploration_type = exploration
     torch.manual_seed(1)
     try:
@@ -108,23 +105,6 @@ def test_batches_are_consecutive_steps(name: str, workers: int, groups: tuple[st
     assert found.shape == expected.shape and set(found.keys(True, True)) == set(expected.keys(True, True))
     for key in found.keys(True, True):
         torch.testing.assert_close(found[key], expected[key], rtol=0.0, atol=0.0, msg=str(key))
-
-
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_transforms_have_their_say(workers: int) -> None:
-    """Rewards are scaled away (TorchRL's least scale is 1e-7); what is not transformed stays."""
-
-    def unrewarded(env: EnvBase) -> EnvBase:
-        return TransformedEnv(env, RewardScaling(0.0, 0.0, in_keys=[("agents", "reward")]))
-
-    with collecting(policy_of(OPTIONS["ppo"]), workers=workers, around=unrewarded) as collector:
-        batches = [next(iter(collector)).clone() for _ in range(2)]
-    with collecting(policy_of(OPTIONS["ppo"]), workers=workers) as collector:
-        plain = [next(iter(collector)).clone() for _ in range(2)]
-    for batch, other in zip(batches, plain, strict=True):
-        scaled, reward = batch["next", "agents", "reward"], other["next", "agents", "reward"]
-        assert scaled.abs().max() < 1e-5 and reward.abs().max() > 0.1
-        assert torch.equal(batch["next", "agents", "observation"], other["next", "agents", "observation"])
 
 
 def test_new_weights_are_noticed() -> None:

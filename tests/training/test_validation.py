@@ -6,7 +6,6 @@ import csv
 import dataclasses
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -20,11 +19,10 @@ import torch
 from izoo import evaluate, train
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import PcgContexts
-from izoo.conf.train_options import TrainConfig, ValidationConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.contexts.catalogue import Scenarios
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
-from izoo.processes import ChildProcess
 from izoo.results import read_table
 from izoo.results.rollout import DRAIN_S
 from izoo.training import checkpoint, run_folder, validation
@@ -137,75 +135,12 @@ def test_a_failed_validation_is_reported_once_and_training_goes_on(
     assert not checkpoint.candidates(tmp_path) and checkpoint.listed(tmp_path) == [path]
 
 
-def test_only_the_newest_of_the_waiting_is_validated(tmp_path: Path) -> None:
-    validator = Validator(TrainConfig(), tmp_path)
-    for frames in (100, 200, 300):
-        validator.submit(checkpoint.save(tmp_path, frames, {"algorithm": {}}, keep=1))
-    assert [checkpoint.frames_of(path) for path in checkpoint.candidates(tmp_path)] == [100, 300]
-    child = validator._child
-    assert child is not None
-    validator.close()
-    assert child.process.poll() is not None
-    # A resumed run validates what was left: not what it will train anew, and the newest only.
-    again = Validator(TrainConfig(), tmp_path, frames=250)
-    assert [checkpoint.frames_of(path) for path in checkpoint.candidates(tmp_path)] == [100]
-    again.close()
-    Validator(TrainConfig(validation=ValidationConfig(every_batches=0)), tmp_path, frames=250)
-    assert checkpoint.candidates(tmp_path) == []
-
-
-def test_a_best_checkpoint_of_the_future_is_forgotten(tmp_path: Path) -> None:
-    for frames, kept in ((200, True), (300, False)):
-        checkpoint.make_best(checkpoint.make_candidate(checkpoint.save(tmp_path, frames, {"algorithm": {}}, keep=1)))
-        Validator(TrainConfig(), tmp_path, frames=250)
-        assert (checkpoint.best_of(tmp_path) is not None) == kept
-
-
 def test_weights_whose_commands_are_nan_are_never_the_best(tmp_path: Path) -> None:
     """Their saving is that of the simulator's own driver."""
     validator = Validator(TrainConfig(), tmp_path)
     assert validator._is_best({"co2_saved": 0.1, "nan_share": 0.0})
     assert not validator._is_best({"co2_saved": 0.9, "nan_share": 0.01})
     assert not validator._is_best({"nan_share": 0.0}), "no saving was measured"
-
-
-def test_a_run_killed_before_its_best_weights_were_in_place_puts_them_there(tmp_path: Path) -> None:
-    (tmp_path / validation.VALIDATION_FILE).write_text("frames,co2_saved,best\n100,0.5,1.0\n200,0.4,0.0\n")
-    for frames in (100, 200):
-        checkpoint.make_candidate(checkpoint.save(tmp_path, frames, {"algorithm": {}}, keep=2))
-    validator = Validator(TrainConfig(), tmp_path, frames=250)
-    assert not validator.busy and checkpoint.candidates(tmp_path) == []
-    best = checkpoint.best_of(tmp_path)
-    assert best is not None and checkpoint.frames_of(best) == 100
-
-
-def test_the_process_ends_with_the_run(run_dir: Path, tmp_path: Path) -> None:
-    """Also where the run is killed: the socket to it closes."""
-    paths = str(checkpoint.find(run_dir)), str(tmp_path / "r")
-    child = ChildProcess("izoo.training.validation_worker:main", *paths)
-    child.dismiss()
-    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
-    assert child.process.wait(30) == 1
-    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before < 1.0, "it imported PyTorch first"
-    assert not (tmp_path / "r").exists()
-
-
-@pytest.mark.slow
-def test_processes_import_what_the_run_does(tmp_path: Path) -> None:
-    """All of them: those that simulate, that play the last comparison, and that validate. None looks into the current
-    folder or where ``PYTHONPATH`` leads, if the run does not.
-    """
-    for name in ("json.py", "sitecustomize.py", "izoo.py"):
-        (tmp_path / name).write_text(f"open({str(tmp_path / 'ran')!r}, 'w'); raise SystemExit('a decoy')")
-    words = [word for word in TOY if not word.startswith("evaluation")]
-    words += ["collector=parallel", "num_workers=2", "total_frames=600", f"run_dir={tmp_path / 'run'}"]
-    words += ["evaluation.contexts=1", "evaluation.seeds=1"]
-    command = [sys.executable, "-I", "-c", f"from izoo import train; raise SystemExit(train.main({words!r}))"]
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0 and "failed" not in done.stderr, done.stderr
-    assert not (tmp_path / "ran").exists()
-    assert len(rows(tmp_path / "run" / validation.VALIDATION_FILE)) == 1
 
 
 @pytest.mark.slow
@@ -282,3 +217,21 @@ def test_weights_that_are_shown_to_be_slower_give_way_to_others(tmp_path: Path) 
     path.write_text("frames,co2_saved,slower,best\n50,9.0,1,1\n100,1.0,0,1\n")
     validator = Validator(TrainConfig(), tmp_path, frames=100)
     assert validator._is_best({**faster, "co2_saved": 1.5}) and not validator._is_best({**faster, "co2_saved": 0.5})
+
+
+@pytest.mark.slow
+def test_processes_import_what_the_run_does(tmp_path: Path) -> None:
+    """All of them: those that simulate, that play the last comparison, and that validate. None looks into the current
+    folder or where ``PYTHONPATH`` leads, if the run does not.
+    """
+    for name in ("json.py", "sitecustomize.py", "izoo.py"):
+        (tmp_path / name).write_text(f"open({str(tmp_path / 'ran')!r}, 'w'); raise SystemExit('a decoy')")
+    words = [word for word in TOY if not word.startswith("evaluation")]
+    words += ["collector=parallel", "num_workers=2", "total_frames=600", f"run_dir={tmp_path / 'run'}"]
+    words += ["evaluation.contexts=1", "evaluation.seeds=1"]
+    command = [sys.executable, "-I", "-c", f"from izoo import train; raise SystemExit(train.main({words!r}))"]
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0 and "failed" not in done.stderr, done.stderr
+    assert not (tmp_path / "ran").exists()
+    assert len(rows(tmp_path / "run" / validation.VALIDATION_FILE)) == 1

@@ -23,7 +23,7 @@ WORDS = (
 )
 SEARCHES = {
     "glide_search": (
-        *("algo=glide_search", "action=direct", "env.neighbours=[leader,follower]"),
+        *("algo=glide_search", "action=direct", "env.neighbours=[leader,follower]", "twin.compare_every=0"),
         "env.observed=[adoption,green_s,red_s,lane_count,lane_length_m,speed_limit_mps]",
     ),
     "cmaes": ("algo=cmaes", "action=advise", "twin.compare_every=2"),

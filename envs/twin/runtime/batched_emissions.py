@@ -8,20 +8,21 @@ layers is made. The weights of a class are 18 kB, and those of all classes more 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import torch
 
 from izoo.compiling import compiled
 from izoo.emissions.classes import CLASSES
 from izoo.emissions.kernel import emission_rate
-from izoo.emissions.moves import MovesSurrogate, tile_rows
 from izoo.emissions.weights import INPUTS
 from izoo.envs.mdp.columns import ACCEL, ELECTRIC, EMISSION, GRADE, MOVES_CLASS, SPEED, STEADY
 from izoo.envs.mdp.state import MEMBERS
 from izoo.envs.twin.runtime.handles import world_at
 from izoo.envs.twin.runtime.prefetch import PARTS_BYTES, WORLD_AT
+
+if TYPE_CHECKING:
+    from izoo.emissions.moves import MovesSurrogate
 
 GROUP = 16
 """So many environments are played side by side with the compiled surrogate: enough to use the weights of a class for
@@ -76,6 +77,10 @@ class Emitter:
 
     def emit(self, addresses: np.ndarray, like: Any) -> None:
         """Write the CO2 of the environments at ``addresses`` into their tables."""
+        import torch  # processes that prepare episodes do without
+
+        from izoo.emissions.moves import tile_rows
+
         count = int(self.by_class.sum())
         if count == 0:
             return

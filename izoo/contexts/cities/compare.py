@@ -2,59 +2,45 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
+import pandas as pd
 
 from izoo.contexts.cities.copula import FEATURES, marginal
 from izoo.contexts.cities.plans import measure
-from izoo.contexts.cities.rebuilt import get
 from izoo.contexts.context import HOUR_FACTOR
 from izoo.contexts.spec import IntersectionSpec
 
 
-def approach_features(spec: IntersectionSpec) -> Iterator[dict[str, float]]:
-    """Yield the features of every approach, as published (flow at peak, before the cap of 900 veh/h).
+def feature_table(specs: Iterable[IntersectionSpec]) -> pd.DataFrame:
+    """Return a row per approach with its :data:`FEATURES`, as published (flow at peak, before the cap of 900 veh/h).
 
-    Phase count and green share are measured on the signal plan, and NaN without one.
+    Args:
+        specs: with their signal plans, on which phase count and green share are measured.
     """
-    for leg in spec.legs:
-        if leg.approach is not None:
-            phases, share = measure(spec.signal_plan, leg.name) if spec.signal_plan else (math.nan, math.nan)
-            yield {
-                "lane_count": leg.approach.lane_count,
-                "grade": leg.approach.grade,
-                "lane_length_m": leg.approach.length_m,
-                "speed_limit_mps": leg.approach.speed_limit_mps,
-                "inflow_peak_vph": leg.approach.aadt_per_lane * HOUR_FACTOR["peak"],
-                "signal_time_ratio": share,
-                "phase_count": phases,
-            }
+    rows = []
+    for spec in specs:
+        for leg in spec.legs:
+            if leg.approach is not None and spec.signal_plan is not None:
+                phases, share = measure(spec.signal_plan, leg.name)
+                side, flow_vph = leg.approach, leg.approach.aadt_per_lane * HOUR_FACTOR["peak"]
+                road = side.lane_count, side.grade, side.length_m, side.speed_limit_mps
+                rows.append((*road, flow_vph, share, phases))
+    return pd.DataFrame(rows, columns=list(FEATURES))
 
 
-def feature_table(specs: Iterable[IntersectionSpec]) -> np.ndarray:
-    """Return ``[R, 7]``: the features of every approach; intersections without a plan are left out."""
-    rows = [row for spec in specs if spec.signal_plan is not None for row in approach_features(spec)]
-    return np.array([[row[name] for name in FEATURES] for row in rows], float).reshape(-1, len(FEATURES))
-
-
-def total_variation(table: np.ndarray, city: str) -> dict[str, float]:
+def total_variation(table: pd.DataFrame, city: str) -> dict[str, float]:
     """Return half the summed absolute difference to the published distribution, per feature, in [0, 1]."""
     distances = {}
-    for index, name in enumerate(FEATURES):
+    for name in FEATURES:
         published = marginal(city, name)
         share = published.prob / published.prob.sum()
-        distances[name] = 0.5 * float(np.abs(published.histogram(table[:, index]) - share).sum())
+        distances[name] = 0.5 * float(np.abs(published.histogram(table[name].to_numpy(float)) - share).sum())
     return distances
 
 
-def compare_cities(cities: Iterable[str]) -> dict[str, np.ndarray]:
-    """Return the feature table of each rebuilt city."""
-    return {city: feature_table(get(city)) for city in cities}
-
-
-def format_distances(tables: Mapping[str, np.ndarray]) -> str:
+def format_distances(tables: Mapping[str, pd.DataFrame]) -> str:
     """Return the distances as a text table, one line per city."""
     width = max(len(city) for city in tables)
     lines = ["  ".join([" " * width, *FEATURES])]

@@ -120,17 +120,10 @@ def _excess(shape: np.ndarray, first: np.ndarray, ratio: np.ndarray) -> np.ndarr
     return excess
 
 
-class City(Lazy[IntersectionSpec]):
-    """The intersections of one city, built lazily."""
-
-    def __init__(self, name: str) -> None:
-        self.name = city_name(name)
-        super().__init__(SIZES[self.name], functools.partial(_build, self.name))
-
-
-def get(name: str) -> City:
-    """Return the intersections of a built-in city."""
-    return City(name)
+def get(name: str) -> Lazy[IntersectionSpec]:
+    """Return the intersections of a built-in city, each built when it is asked for."""
+    city = city_name(name)
+    return Lazy(SIZES[city], functools.partial(_build, city))
 
 
 def _approaches(kind: Shape, rows: np.ndarray, chance: np.ndarray) -> dict[int, Approach]:

@@ -6,7 +6,7 @@ import functools
 from types import MappingProxyType
 
 from izoo.contexts.context import SEASONS
-from izoo.emissions.tables import read_moves_table
+from izoo.emissions.classes import read_moves_table
 from izoo.errors import check_choice
 
 CITY_COUNTIES = MappingProxyType(

@@ -21,7 +21,7 @@ import numpy as np
 
 from izoo import zoo
 from izoo.conf.folders import DatasetContexts
-from izoo.console import exit_code, unheard
+from izoo.console import exit_code, survives_lost_output
 from izoo.contexts.context import Context
 from izoo.envs import EnvConfig
 from izoo.errors import IzooError
@@ -161,7 +161,7 @@ def command(words: Sequence[str]) -> int:
     parser.add_argument("--workers", type=int, default=0, help="processes that play")
     given = parser.parse_args(words)
 
-    @unheard()
+    @survives_lost_output()
     def work() -> int:
         main(given.dataset, given.out, given.policies or ("uncommanded", "glide"), given.limit, given.workers)
         return 0

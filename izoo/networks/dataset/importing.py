@@ -1,50 +1,35 @@
 """Import of a downloaded dataset: every intersection is checked, the usable ones are copied and indexed.
 
 The target holds one folder per dataset (its name says the city), ``index.csv`` and ``manifest.json``. It appears whole,
-or not at all.
+or not at all. Nothing is written under a name that an archive gives, and no more is unpacked than a net may hold.
 """
 
 from __future__ import annotations
 
 import csv
+import functools
 import hashlib
 import json
 import os
 import re
 import shutil
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+import zipfile
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from izoo.console import counted, plain
 from izoo.contexts.spec import IntersectionSpec
 from izoo.errors import IzooError
-from izoo.files import check_replaceable, expanded, os_reason, replacing_folder, write_json
-from izoo.networks.dataset.archive import FolderArchive, ZipArchive, open_archive
+from izoo.files import check_replaceable, expanded, os_reason, read_bytes, replacing_folder, write_json
 from izoo.networks.dataset.intersections import INFLOW_FILE, NET_FILE, load_intersection, natural_key
-from izoo.networks.road import read_road
 
 MANIFEST, INDEX = "manifest.json", "index.csv"
 FORMAT = "izoo-intersections-1"
 _SAFE_NAME = re.compile(r"\w[\w .+-]{0,99}")
-Archive = FolderArchive | ZipArchive
 Progress = Callable[[int, int], None]
 """Called with the number of folders done and their total."""
-
-
-@dataclass(frozen=True)
-class IndexRow:
-    """One imported intersection: a line of ``index.csv``."""
-
-    dataset: str
-    intersection: str
-    city: str
-    legs: str
-    approaches: str
-    with_demand: str
-    net_sha256: str
-    inflows_sha256: str
-    imputed: str
 
 
 @dataclass(frozen=True)
@@ -58,12 +43,12 @@ class ImportReport:
     """
 
     target: Path
-    usable: tuple[IndexRow, ...]
+    usable: tuple[IntersectionSpec, ...]
     unusable: dict[str, str] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        legs = sum(len(row.approaches) for row in self.usable)
-        idle = legs - sum(len(row.with_demand) for row in self.usable)
+        legs = sum(len(spec.approach_names) for spec in self.usable)
+        idle = legs - sum(len(_with_demand(spec)) for spec in self.usable)
         places = counted(len(self.usable), "intersection")
         lines = [f"imported {places} with {legs} approaches ({idle} of them without demand) into {self.target}"]
         lines += [f"unusable: {place}: {reason}" for place, reason in self.unusable.items()]
@@ -90,14 +75,14 @@ def import_dataset(source: Path | str, target: Path | str, progress: Progress | 
         _check_target(target, source)
         try:
             with replacing_folder(target) as staging:
-                rows, unusable = _stage(archive, places, staging, progress)
-                if not rows:
+                specs, unusable = _stage(archive, places, staging, progress)
+                if not specs:
                     first = next(iter(unusable.items()))
                     raise IzooError(f"none of the {len(places)} folders of {source} is usable; {first[0]}: {first[1]}")
-                _write_index(staging, rows, unusable, source.name)
+                _write_index(staging, specs, unusable, source.name)
         except OSError as error:
             raise IzooError(f"cannot write to {target}: {os_reason(error)}; choose another target.") from error
-    return ImportReport(target, tuple(rows), unusable)
+    return ImportReport(target, tuple(specs), unusable)
 
 
 def _find_places(archive: Archive) -> list[PurePosixPath]:
@@ -120,54 +105,41 @@ def _names(archive: Archive, place: PurePosixPath) -> tuple[str, str]:
 
 def _stage(
     archive: Archive, places: list[PurePosixPath], staging: Path, progress: Progress | None
-) -> tuple[list[IndexRow], dict[str, str]]:
-    rows: list[IndexRow] = []
+) -> tuple[list[IntersectionSpec], dict[str, str]]:
+    specs: list[IntersectionSpec] = []
     unusable: dict[str, str] = {}
-    present = frozenset(archive.files)
     for number, place in enumerate(places, start=1):
         try:
-            rows.append(_stage_one(archive, present, place, staging))
+            specs.append(_stage_one(archive, place, staging))
         except IzooError as error:
             unusable["/".join(("imported", *archive.label, *place.parts)[-2:])] = str(error)
         if progress is not None:
             progress(number, len(places))
-    return rows, unusable
+    return specs, unusable
 
 
-def _stage_one(archive: Archive, present: frozenset[PurePosixPath], place: PurePosixPath, staging: Path) -> IndexRow:
+def _stage_one(archive: Archive, place: PurePosixPath, staging: Path) -> IntersectionSpec:
     dataset, intersection = _names(archive, place)
     folder = staging / dataset / intersection
     if folder.exists():
         raise IzooError(f"another folder is called {dataset}/{intersection} too; rename one of them.")
     for name in (NET_FILE, INFLOW_FILE):
-        if place / name not in present:
+        if place / name not in archive.files:
             raise IzooError(f"it has no {name}; fetch the folder again.")
     data = {name: archive.read(place / name) for name in (NET_FILE, INFLOW_FILE)}
     folder.mkdir(parents=True)
     try:
         for name, content in data.items():
             (folder / name).write_bytes(content)
-        spec = load_intersection(folder)
-        read_road(folder / NET_FILE)
+        return load_intersection(folder)
     except IzooError as error:
         shutil.rmtree(folder)
         raise IzooError(str(error).replace(f"{folder.absolute()}{os.sep}", "")) from error
-    return _index_row(spec, dataset, intersection, hashlib.sha256(data[INFLOW_FILE]).hexdigest())
 
 
-def _index_row(spec: IntersectionSpec, dataset: str, intersection: str, inflows_sha256: str) -> IndexRow:
-    demand = (leg.name for leg in spec.legs if leg.approach is not None and leg.approach.aadt_per_lane > 0.0)
-    return IndexRow(
-        dataset=dataset,
-        intersection=intersection,
-        city=spec.city or "",
-        legs="".join(spec.leg_names),
-        approaches="".join(spec.approach_names),
-        with_demand="".join(demand),
-        net_sha256=spec.net_sha256 or "",
-        inflows_sha256=inflows_sha256,
-        imputed="; ".join(spec.imputed),
-    )
+def _with_demand(spec: IntersectionSpec) -> str:
+    """Letters of the approaches with demand."""
+    return "".join(leg.name for leg in spec.legs if leg.approach is not None and leg.approach.aadt_per_lane > 0.0)
 
 
 def _check_target(target: Path, source: Path) -> None:
@@ -186,17 +158,107 @@ def _imported(target: Path) -> list[str]:
         return []
 
 
-def _write_index(folder: Path, rows: list[IndexRow], unusable: dict[str, str], source_name: str) -> None:
+def _write_index(folder: Path, specs: list[IntersectionSpec], unusable: dict[str, str], source_name: str) -> None:
+    rows = []
+    for spec in specs:
+        place = Path(str(spec.net_path)).parent
+        rows.append(
+            {
+                "dataset": place.parent.name,
+                "intersection": place.name,
+                "city": spec.city or "",
+                "legs": "".join(spec.leg_names),
+                "approaches": "".join(spec.approach_names),
+                "with_demand": _with_demand(spec),
+                "net_sha256": spec.net_sha256,
+                "inflows_sha256": hashlib.sha256((place / INFLOW_FILE).read_bytes()).hexdigest(),
+                "imputed": "; ".join(spec.imputed),
+            }
+        )
     with (folder / INDEX).open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(asdict(rows[0])), lineterminator="\n")
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
+        writer.writerows(rows)
     manifest = {
         "format": FORMAT,
         "source": source_name,
-        "datasets": sorted({row.dataset for row in rows}),
+        "datasets": sorted({str(row["dataset"]) for row in rows}),
         "intersections": len(rows),
-        "approaches": sum(len(row.approaches) for row in rows),
+        "approaches": sum(len(spec.approach_names) for spec in specs),
         "unusable": unusable,
     }
     write_json(folder / MANIFEST, manifest)
+
+
+MAX_FILE_BYTES = 16 * 1024**2
+"""A net of the published dataset has about 0.1 MB; a larger file is not read."""
+
+
+@dataclass(frozen=True)
+class Archive:
+    """A folder or a zip file.
+
+    Attributes:
+        label: what stands above its files.
+        files: how to read each, by relative POSIX path, in no particular order.
+        folders: every one.
+    """
+
+    label: tuple[str, ...]
+    files: Mapping[PurePosixPath, Callable[[], bytes]]
+    folders: Collection[PurePosixPath]
+
+    def read(self, name: PurePosixPath) -> bytes:
+        """Content of a file; :class:`IzooError` if it cannot be read or is too large."""
+        try:
+            content = self.files[name]()
+        except Exception as error:  # the errors of zipfile and its four decompressors have no common base
+            raise IzooError(f"cannot read {name} ({error}); fetch it again.") from error
+        if len(content) > MAX_FILE_BYTES:
+            raise IzooError(
+                f"{name} is larger than {MAX_FILE_BYTES // 1024**2} MiB; no net or inflow file is; fetch it again."
+            )
+        return content
+
+
+@contextmanager
+def open_archive(source: Path) -> Iterator[Archive]:
+    """Open a folder or a zip file.
+
+    Raises:
+        IzooError: ``source`` does not exist, or is neither.
+    """
+    if source.is_dir():
+        yield _folder(source)
+    elif not source.exists():
+        raise IzooError(f"{source} does not exist; give the path of the dataset's folder or zip archive.")
+    elif not source.is_file():  # a device may have no end
+        raise IzooError(f"{source} is neither a folder nor a file; give the dataset's folder or zip archive.")
+    else:
+        try:
+            file = zipfile.ZipFile(source)
+        except Exception as error:  # zipfile's errors about damaged directories have no common base, either
+            raise IzooError(f"{source} is neither a folder nor a readable zip archive ({error}).") from error
+        with file:
+            members = {PurePosixPath(info.filename): info for info in file.infolist()}
+            files = {name: functools.partial(_unpacked, file, info) for name, info in members.items()}
+            folders = {parent for name in members for parent in name.parents}
+            empty = [name for name, info in members.items() if info.is_dir()]
+            for name in empty:
+                del files[name]
+            yield Archive((source.stem,), files, folders.union(empty))
+
+
+def _folder(source: Path) -> Archive:
+    label = source.resolve().parts[-2:] if source.name in ("", "..") else source.absolute().parts[-2:]
+    files: dict[PurePosixPath, Callable[[], bytes]] = {}
+    folders = []
+    for folder, _, names in os.walk(source):
+        folders.append(PurePosixPath(Path(folder).relative_to(source).as_posix()))
+        files |= {folders[-1] / name: functools.partial(read_bytes, Path(folder, name)) for name in names}
+    return Archive(label, files, folders)
+
+
+def _unpacked(file: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
+    with file.open(info) as stream:
+        return stream.read(MAX_FILE_BYTES + 1)

@@ -1,32 +1,35 @@
 """Pictures of intersections and of the features of a set of them, as PNG files.
 
-An intersection with a net is drawn from the net's lanes, any other from its description. Every movement has the colour
-of its signal group: movements that are green in the same phases share one.
+Every movement has the colour of its signal group: movements that are green in the same phases share one.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from matplotlib.ticker import MaxNLocator
 
-from izoo.contexts.cities.compare import approach_features
+from izoo.contexts.cities.compare import feature_table
 from izoo.contexts.context import FLOW_CAP_VPH_PER_LANE
 from izoo.contexts.spec import IntersectionSpec, SignalPlan
 from izoo.errors import IzooError
 from izoo.files import expanded, replacing
-from izoo.networks.draw.plan_view import LANE_M, Layout, layout_of_road, layout_of_spec
-from izoo.networks.road import RoadNet, read_road
+from izoo.networks.net.build import build_net
+from izoo.networks.road import APPROACHING, INSIDE, LEAVING, RoadNet, read_road
+from izoo.networks.signals.search import planned
 
 GROUP_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f4fa0", "#8c564b")
-NEVER_GREEN, NO_PLAN, YELLOW = "#c0392b", "#2f6f9f", "#f2c300"
+NEVER_GREEN, YELLOW = "#c0392b", "#f2c300"
 _ASPHALT, _INSIDE, _MARK, _TEXT = "#8d9299", "#b4b8bd", "#ffffff", "#222222"
 _BARS = {"G": (0.72, 1.0, ""), "g": (0.72, 0.45, ""), "y": (0.72, 1.0, YELLOW), "s": (0.12, 1.0, "#999999")}
 """Height, opacity and colour of a signal bar; an empty colour is that of the group."""
@@ -38,35 +41,26 @@ _ARROWS = {
 """Strokes of the painted arrows: metres to the right and forward."""
 SCALE_M = 20.0
 """Length of the bar that shows the scale."""
+LANE_M = 3.2
+REACH_M = 70.0
+"""How much of each leg is drawn."""
 _DPI = 150
 
 
-def draw_intersection(
-    spec: IntersectionSpec,
-    path: Path | str,
-    *,
-    road: RoadNet | None = None,
-    streets: Mapping[str, str] | None = None,
-) -> Path:
+def draw_intersection(spec: IntersectionSpec, path: Path | str, streets: Mapping[str, str] | None = None) -> Path:
     """Draw lanes, turn arrows, movements in the colours of their signal groups, leg names and the signal plan.
 
     Args:
-        spec: the intersection.
-        path: the PNG to write; its folder is made if need be.
-        road: its net, where one has been built; a spec with ``net_path`` brings its own.
+        spec: the intersection; a plan and a net that it lacks are made.
+        path: the PNG to write; its folder is made if need be. It is returned.
         streets: street names per leg, for the labels.
-
-    Returns:
-        the path that was written.
     """
-    if road is None and spec.net_path is not None:
-        road = read_road(spec.net_path)
-    layout = layout_of_spec(spec) if road is None else layout_of_road(road, spec)
-    colours = group_colours(spec.signal_plan, [(movement.origin, movement.exit) for movement in layout.movements])
+    spec, plan = planned(spec)
+    layout = layout_of(read_road(build_net(spec)), spec)
+    colours = group_colours(plan, [(movement.origin, movement.exit) for movement in layout.movements])
     figure = Figure(figsize=(12.5, 7.6), facecolor="white")
-    plan_axes = figure.add_axes((0.75, 0.10, 0.24, 0.76))
     _draw_layout(figure.add_axes((0.0, 0.0, 0.69, 0.92)), spec, layout, colours, streets or {})
-    _draw_plan(plan_axes, spec, colours)
+    _draw_plan(figure.add_axes((0.75, 0.10, 0.24, 0.76)), plan, colours)
     figure.text(0.02, 0.955, spec.name, fontsize=14, weight="bold", color=_TEXT)
     notes = [f"{len(spec.approach_names)} approaches, source {spec.source}"]
     if spec.imputed:
@@ -84,8 +78,7 @@ def draw_features(specs: Iterable[IntersectionSpec], path: Path | str, title: st
         path: the PNG to write.
         title: what the set is.
     """
-    table = feature_table(specs)
-    count = len(table["lane_count"])
+    table = played_features(specs)
     figure = Figure(figsize=(12.5, 6.2), facecolor="white")
     panels = (
         ("lane_count", "lanes at the stop line", 1.0),
@@ -99,35 +92,33 @@ def draw_features(specs: Iterable[IntersectionSpec], path: Path | str, title: st
     )
     for number, (name, label, width) in enumerate(panels, start=1):
         axes = figure.add_subplot(2, 4, number)
-        values = table[name][np.isfinite(table[name])]
-        _histogram(axes, values, width)
+        _histogram(axes, table[name].to_numpy(float), width)
         axes.set_xlabel(label, fontsize=9, color=_TEXT)
         if number in (1, 5):
             axes.set_ylabel("share of approaches", fontsize=9, color=_TEXT)
-    figure.suptitle(f"{title or 'Approach features'} ({count} approaches)", fontsize=13, weight="bold", color=_TEXT)
+    figure.suptitle(
+        f"{title or 'Approach features'} ({len(table)} approaches)", fontsize=13, weight="bold", color=_TEXT
+    )
     figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.97))
     return save_png(figure, path)
 
 
-def feature_table(specs: Iterable[IntersectionSpec]) -> dict[str, np.ndarray]:
-    """Features per approach, over all intersections, with the flow that is played, grades in %, and legs."""
-    rows = [{**row, "legs": len(spec.legs)} for spec in specs for row in approach_features(spec)]
-    if not rows:
+def played_features(specs: Iterable[IntersectionSpec]) -> pd.DataFrame:
+    """Return a row per approach of all intersections, with the flow that is played, grades in %, and ``legs``."""
+    plans = [planned(spec)[0] for spec in specs]
+    if not plans:
         raise IzooError("there is no intersection to draw; check the filter or the path that selected them.")
-    table = {name: np.array([row[name] for row in rows], dtype=float) for name in rows[0]}
-    table["grade"] *= 100.0
-    table["inflow_peak_vph"] = np.minimum(table["inflow_peak_vph"], FLOW_CAP_VPH_PER_LANE)
-    return table
+    table = feature_table(plans)
+    flow_vph = table["inflow_peak_vph"].clip(upper=FLOW_CAP_VPH_PER_LANE)
+    legs = np.repeat([len(spec.legs) for spec in plans], [len(spec.approach_names) for spec in plans])
+    return table.assign(grade=100.0 * table["grade"], inflow_peak_vph=flow_vph, legs=legs)
 
 
-def group_colours(plan: SignalPlan | None, movements: Iterable[tuple[str, str]]) -> dict[tuple[str, str], str]:
+def group_colours(plan: SignalPlan, movements: Iterable[tuple[str, str]]) -> dict[tuple[str, str], str]:
     """Colour of each movement ``(from leg, to leg)``: one per signal group."""
     found: dict[tuple[str, str], str] = {}
     groups: dict[tuple[int, ...], str] = {}
     for movement in sorted(set(movements)):
-        if plan is None:
-            found[movement] = NO_PLAN
-            continue
         pattern = tuple(k for k, phase in enumerate(plan.phases) if _colour(phase.states, movement) in ("G", "g"))
         if pattern and pattern not in groups:
             groups[pattern] = GROUP_COLOURS[len(groups) % len(GROUP_COLOURS)]
@@ -234,15 +225,11 @@ def _label(axes: Axes, spec: IntersectionSpec, name: str, street: str, extent_m:
     axes.text(x, y, name, fontsize=12, weight="bold", ha="center", va="center", color=_TEXT, bbox=badge, zorder=6)
 
 
-def _draw_plan(axes: Axes, spec: IntersectionSpec, colours: Mapping[tuple[str, str], str]) -> None:
+def _draw_plan(axes: Axes, plan: SignalPlan, colours: Mapping[tuple[str, str], str]) -> None:
     """Bars of green, yellow and right on red over the cycle, one row per movement."""
-    if spec.signal_plan is None:
-        axes.axis("off")
-        axes.text(0.0, 1.0, "No signal plan given:\none is searched when\nthe net is built.", va="top", color="#555555")
-        return
     movements = sorted(colours)
     begin = 0.0
-    for phase in spec.signal_plan.phases:
+    for phase in plan.phases:
         for row, movement in enumerate(movements):
             colour = _colour(phase.states, movement)
             if colour in _BARS:
@@ -254,7 +241,7 @@ def _draw_plan(axes: Axes, spec: IntersectionSpec, colours: Mapping[tuple[str, s
         axes.axvline(begin, color="#dddddd", linewidth=0.7, zorder=0)
     axes.set_yticks(range(len(movements)), [f"{origin} to {to}" for origin, to in movements], fontsize=8)
     axes.invert_yaxis()
-    axes.set_xlim(0.0, spec.signal_plan.cycle_s)
+    axes.set_xlim(0.0, plan.cycle_s)
     axes.set_xlabel("seconds of the cycle", fontsize=9)
     axes.set_title(
         "Signal plan: green (pale: permissive), yellow,\nthin grey: right turn on red", fontsize=9, loc="left"
@@ -266,9 +253,6 @@ def _draw_plan(axes: Axes, spec: IntersectionSpec, colours: Mapping[tuple[str, s
 def _histogram(axes: Axes, values: np.ndarray, width: float | None) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=8)
-    if values.size == 0:
-        axes.text(0.5, 0.5, "no signal plan", ha="center", va="center", transform=axes.transAxes, color="#777777")
-        return
     bins: int | list[float] = 20
     if width is not None:
         bins = np.arange(values.min() - width / 2.0, values.max() + width, width).tolist()
@@ -285,3 +269,77 @@ def save_png(figure: Figure, path: Path | str) -> Path:
     with replacing(path) as partial:
         FigureCanvasAgg(figure).print_figure(partial, dpi=_DPI, facecolor="white", format="png")
     return path
+
+
+@dataclass(frozen=True)
+class DrawnLane:
+    """A lane along its direction of travel, ``[n, 2]``; ``turns`` is empty unless it ends at the stop line."""
+
+    points: np.ndarray
+    turns: str = ""
+
+
+@dataclass(frozen=True)
+class DrawnMovement:
+    """A way through the junction, ``[n, 2]``, from one leg to another."""
+
+    points: np.ndarray
+    origin: str
+    exit: str
+
+
+@dataclass(frozen=True)
+class Layout:
+    """All there is to draw; ``extent_m`` is the distance from the middle to the ends of the legs."""
+
+    lanes: tuple[DrawnLane, ...]
+    movements: tuple[DrawnMovement, ...]
+    extent_m: float
+
+
+def layout_of(road: RoadNet, spec: IntersectionSpec) -> Layout:
+    """Lay out a net: the shapes of its lanes, cut where the legs leave the picture."""
+    place, shapes = road.lane_location, [shape[:, :2] for shape in road.shapes]
+    ways = [(k, shapes[k], int(road.lane_exit[k])) for k in np.flatnonzero(place == INSIDE)]
+    for k, q in np.argwhere(road.next_lane >= 0):
+        onward = road.next_lane[k, q]
+        if place[k] == APPROACHING and place[onward] == LEAVING:  # a net without lanes inside its junction
+            ways.append((k, np.array([shapes[k][-1], shapes[onward][0]]), int(q)))
+    junction = np.concatenate([points for _, points, _ in ways])
+    middle = (junction.min(axis=0) + junction.max(axis=0)) / 2.0
+    extent = float(np.abs(junction - middle).max()) + REACH_M
+    lanes = [
+        DrawnLane(_clip(shapes[k] - middle, extent))
+        if place[k] == LEAVING
+        else DrawnLane(_clip(shapes[k][::-1] - middle, extent)[::-1], _turns_at_stop(road, spec, k))
+        for k in np.flatnonzero(place != INSIDE)
+    ]
+    movements = [
+        DrawnMovement(points - middle, road.approaches[road.lane_approach[k]], road.exits[q]) for k, points, q in ways
+    ]
+    return Layout(tuple(lane for lane in lanes if len(lane.points) > 1), tuple(movements), extent)
+
+
+def _turns_at_stop(road: RoadNet, spec: IntersectionSpec, lane: int) -> str:
+    """Turns of an approach lane that ends at the stop line, otherwise an empty string."""
+    leg = road.approaches[road.lane_approach[lane]]
+    approach = spec.leg(leg).approach
+    edge = road.lane_ids[lane].rsplit("_", 1)[0]
+    if approach is None or edge != road.incoming_edges[road.approaches.index(leg)][-1]:
+        return ""
+    return approach.lanes[int(road.lane_index[lane])]
+
+
+def _clip(points: np.ndarray, extent: float) -> np.ndarray:
+    """The part of a line from its beginning until it is ``extent`` m from the middle."""
+    kept = [points[0]]
+    for one, two in itertools.pairwise(points):
+        if np.linalg.norm(one) > extent:
+            break
+        if np.linalg.norm(two) > extent:
+            steps = one + np.linspace(0.0, 1.0, 200)[:, None] * (two - one)
+            kept.append(steps[np.linalg.norm(steps, axis=1) <= extent][-1])
+            break
+        kept.append(two)
+    line = np.array(kept)
+    return line if np.linalg.norm(line[0]) <= extent else line[:1]

@@ -100,11 +100,11 @@ def net_key(spec: IntersectionSpec) -> str:
     for name in ("name", "city", "imputed", "net_path", "net_sha256", "lonlat"):
         fields.pop(name)
     fields["source"] = spec.source == "procedural"
-    if spec.signal_plan is not None:
-        for leg in fields["legs"]:
-            if leg["approach"] is not None:
-                leg["approach"].pop("aadt_per_lane")
-                leg["approach"].pop("exit_counts", None)
+    for side in (leg["approach"] for leg in fields["legs"] if leg["approach"]):
+        if spec.signal_plan or not side["exit_counts"]:
+            side.pop("exit_counts")
+        if spec.signal_plan:
+            side.pop("aadt_per_lane")
     content = json.dumps([BUILDER_VERSION, _sumo_version(), fields], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()[:40]
 

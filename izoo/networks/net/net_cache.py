@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import shutil
 import tempfile
 import time
@@ -17,7 +16,7 @@ MAX_ENTRIES = 20_000
 """Procedural training never ends, so the oldest nets (of about 50 kB) go when there are more than this."""
 SPARE_S = 3600.0
 """Nets younger than this stay, whatever their number: someone may be about to load them."""
-_SEAL = "<!-- sha256 "
+_END = b"</net>\n"
 _TIDY_EVERY = 500
 _WORK = ".work-"
 _stored = 0
@@ -42,14 +41,12 @@ def cache_folder(cache_dir: Path | None = None) -> Path:
 
 
 def lookup(folder: Path, key: str) -> Path | None:
-    """Return the entry ``key``, or ``None`` where it is absent, truncated or altered."""
+    """Return the entry ``key``, or ``None`` where it is absent, or cut short by a loss of power."""
     path = _entry(folder, key)
-    try:
-        data = path.read_bytes()
-    except OSError:
-        return None
-    body, seal, rest = data.rpartition(_SEAL.encode())
-    return path if seal and rest == _digest(body) else None
+    with contextlib.suppress(OSError):
+        if path.read_bytes().endswith(_END):
+            return path
+    return None
 
 
 def store(folder: Path, key: str, text: str) -> Path:
@@ -59,10 +56,8 @@ def store(folder: Path, key: str, text: str) -> Path:
         IzooError: the folder cannot be written to.
     """
     global _stored
-    body = text.encode()
     try:
-        # A loss of power may leave a file that the seal gives away.
-        write_bytes(_entry(folder, key), body + _SEAL.encode() + _digest(body), durable=False)
+        write_bytes(_entry(folder, key), text.encode(), durable=False)
     except OSError as error:
         raise _unwritable(folder, error) from error
     _stored += 1
@@ -73,20 +68,15 @@ def store(folder: Path, key: str, text: str) -> Path:
 
 def tidy(folder: Path, max_entries: int = MAX_ENTRIES, spare_s: float = SPARE_S) -> None:
     """Remove the oldest entries beyond ``max_entries``, and what killed builds left, if older than ``spare_s``."""
-    entries: list[tuple[float, Path]] = []
-    leftovers: list[tuple[float, Path]] = []
+    found = []
     for path in folder.iterdir():
         with contextlib.suppress(OSError):
-            kept = leftovers if path.name.startswith(_WORK) or is_partial(path) else entries
-            kept.append((path.stat().st_mtime, path))
-    surplus = sorted(entries)[: max(len(entries) - max_entries, 0)]
-    for written_s, path in surplus + leftovers:
-        if time.time() - written_s < spare_s:
-            continue
-        if path.is_dir():
-            shutil.rmtree(path, ignore_errors=True)
-        else:
-            path.unlink(missing_ok=True)
+            found.append((path.name.startswith(_WORK) or is_partial(path), path.stat().st_mtime, path))
+    entries = sorted(entry for entry in found if not entry[0])
+    leftovers = [entry for entry in found if entry[0]]
+    for _, written_s, path in leftovers + entries[: max(len(entries) - max_entries, 0)]:
+        if time.time() - written_s >= spare_s:
+            shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -102,10 +92,6 @@ def workspace(folder: Path) -> Iterator[Path]:
 
 def _entry(folder: Path, key: str) -> Path:
     return folder / f"{key}.net.xml"
-
-
-def _digest(body: bytes) -> bytes:
-    return f"{hashlib.sha256(body).hexdigest()} -->\n".encode()
 
 
 def _unwritable(folder: Path, error: OSError) -> IzooError:

@@ -15,30 +15,31 @@ Where traffic drives on the left the extract is mirrored (:mod:`izoo.networks.os
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from izoo.console import counted, plain
+from izoo.contexts.context import FLOW_CAP_VPH_PER_LANE
 from izoo.contexts.movements import exits_by_turn
 from izoo.contexts.spec import LEG_NAMES, Approach, IntersectionSpec, Leg
 from izoo.errors import IzooError
 from izoo.files import expanded
-from izoo.networks.osm.build_report import OsmReport
 from izoo.networks.osm.carriageways import approach_of, exit_of
-from izoo.networks.osm.driving_side import Side
+from izoo.networks.osm.counts import TrafficCounts, peak_flows, read_counts, read_movement_counts, with_counts
+from izoo.networks.osm.elevation import Elevation
 from izoo.networks.osm.junctions import Core, StreetGraph, find_cores
 from izoo.networks.osm.legs import Street, find_streets
-from izoo.networks.osm.movement_counts import peak_flows, read_movement_counts, with_counts
 from izoo.networks.osm.plans import IMPUTED as PLAN_IMPUTED
 from izoo.networks.osm.plans import read_plans, with_plan
-from izoo.networks.osm.raw import REVERSIBLE
-from izoo.networks.osm.side_tables import Elevation, TrafficCounts, read_counts
 from izoo.networks.osm.store import check_target, save_cmdp
-from izoo.networks.osm.streets import StreetMap, read_streets
+from izoo.networks.osm.streets import Side, StreetMap, read_streets
 from izoo.networks.osm.tags import class_default
 from izoo.networks.osm.turn_bans import TurnBans, bans_turns_on_red
 
@@ -61,9 +62,9 @@ def build_from_osm(
         file: the extract.
         target: a new or empty folder, or an earlier build, which is replaced unless it was edited.
         elevation: a raster of heights in m.
-        aadt: a CSV table of traffic counts; see :func:`izoo.networks.osm.side_tables.read_counts`.
+        aadt: a CSV table of traffic counts; see :func:`izoo.networks.osm.counts.read_counts`.
         signals: a JSON file of signal plans by intersection; see :mod:`izoo.networks.osm.plans`.
-        counts: a CSV table of turning counts; see :mod:`izoo.networks.osm.movement_counts`.
+        counts: a CSV table of turning counts; see :func:`izoo.networks.osm.counts.read_movement_counts`.
         drives_on: the side that traffic drives on; ``None``: that of the country.
 
     Raises:
@@ -103,23 +104,8 @@ def build_from_osm(
         "skipped": builder.skipped,
     }
     save_cmdp(target, builder.specs, builder.details, notes)
-    imputed = Counter(name.rsplit(" of ", 1)[0] for spec in builder.specs.values() for name in spec.imputed)
-    return OsmReport(
-        target=target,
-        streets={key: detail["streets"] for key, detail in builder.details.items()},
-        approaches=sum(len(spec.approach_names) for spec in builder.specs.values()),
-        flows={key: peak_flows(spec) for key, spec in builder.specs.items()},
-        stray_signals=builder.stray_signals,
-        uncycled_signals=streets.uncycled,
-        reversible=tuple(
-            dict.fromkeys(
-                way.name or f"way {way.id}" for way in streets.ways.values() if way.tags.get("oneway") in REVERSIBLE
-            )
-        ),
-        skipped=builder.skipped,
-        imputed=dict(sorted(imputed.items())),
-        mirrored=streets.mirrored,
-    )
+    names = {key: detail["streets"] for key, detail in builder.details.items()}
+    return OsmReport(target, streets, builder.specs, names, builder.skipped, builder.stray_signals)
 
 
 class _Builder:
@@ -224,7 +210,7 @@ class _Builder:
         grade = self._grade(stub.nodes)
         if grade is None:
             guessed.append(f"grade of {leg.name}")
-        return Approach(**{**vars(approach), "aadt_per_lane": aadt_per_lane, "grade": grade or 0.0})
+        return dataclasses.replace(approach, aadt_per_lane=aadt_per_lane, grade=grade or 0.0)
 
     def _grade(self, nodes: tuple[int, ...]) -> float | None:
         """Rise over run towards the stop line; ``None`` where a height is missing or the slope is implausible."""
@@ -242,3 +228,54 @@ _ANY_APPROACH = Approach(("s",), 100.0, 10.0, 0.0, 0.0)
 
 def _in_north_america(lon: float, lat: float) -> bool:
     return -170.0 < lon < -50.0 and 15.0 < lat < 75.0
+
+
+@dataclass(frozen=True)
+class OsmReport:
+    """What a build found.
+
+    Attributes:
+        target: the folder that was written; :func:`izoo.networks.dataset.intersections.load_dataset` reads it.
+        read: the streets of the extract.
+        specs: the intersections, by id.
+        streets: per intersection, the name of each leg's street.
+        skipped: why other junctions with signals were left out, by id.
+        stray_signals: signal nodes at no junction: pedestrian crossings, or streets cut by the extract's edge.
+    """
+
+    target: Path
+    read: StreetMap
+    specs: Mapping[str, IntersectionSpec]
+    streets: Mapping[str, Mapping[str, str]]
+    skipped: Mapping[str, str]
+    stray_signals: int
+
+    def __str__(self) -> str:
+        places, read = counted(len(self.specs), "intersection"), self.read
+        approaches = f"{sum(len(spec.approach_names) for spec in self.specs.values())} approaches"
+        lines = [f"built {places} with {approaches} into {self.target}"]
+        if read.mirrored:
+            lines.append(
+                f"  traffic drives on the left there ({read.mirrored}): all intersections are mirrored, east and west, "
+                "left and right exchanged, so that it drives on the right; --drives-on right takes the map as it is"
+            )
+        for key, legs in self.streets.items():
+            flows = peak_flows(self.specs[key])
+            lines.append(f"  {key}: " + ", ".join(f"{k} {v or '-'}{_flow(*flows.get(k, ()))}" for k, v in legs.items()))
+        lines += [f"  left out {key}: {reason}" for key, reason in self.skipped.items()]
+        if self.stray_signals:
+            lines.append(f"  {self.stray_signals} signal nodes stand at no junction (crossings, or the extract's edge)")
+        if read.uncycled:
+            lines.append(f"  {read.uncycled} signal nodes blink, meter a ramp or wait for emergencies: no cycle")
+        if read.reversible:
+            lines.append(f"  taken as two-way, whatever their direction by time: {', '.join(read.reversible)}")
+        imputed = Counter(name.rsplit(" of ", 1)[0] for spec in self.specs.values() for name in spec.imputed)
+        whole = {PLAN_IMPUTED: places}
+        lines += [f"  imputed {kind}: {imputed[kind]} of {whole.get(kind, approaches)}" for kind in sorted(imputed)]
+        return "\n".join(map(plain, lines))
+
+
+def _flow(vph: float | None = None, cut: bool = False) -> str:
+    if vph is None:
+        return ""
+    return f" ({vph:.0f} veh/h{f', cut to {FLOW_CAP_VPH_PER_LANE:.0f} per lane' if cut else ''})"

@@ -9,6 +9,7 @@ Each state names the leg where a movement comes from, the one where it leads, an
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 from collections.abc import Mapping
@@ -57,7 +58,7 @@ def with_plan(spec: IntersectionSpec, fields: Any) -> IntersectionSpec:
     if fields is None:
         return spec
     imputed = tuple(name for name in spec.imputed if name != IMPUTED)
-    return IntersectionSpec(**{**vars(spec), "signal_plan": plan_from_dict(fields, spec), "imputed": imputed})
+    return dataclasses.replace(spec, signal_plan=plan_from_dict(fields, spec), imputed=imputed)
 
 
 def read_plans(path: Path | str) -> Mapping[str, Any]:

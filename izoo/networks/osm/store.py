@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -12,14 +11,13 @@ from typing import Any
 
 from izoo.contexts.spec import IntersectionSpec, spec_from_dict
 from izoo.errors import IzooError
-from izoo.files import check_replaceable, expanded, os_reason, replacing_folder
-from izoo.networks.osm.movement_counts import check_exit_counts
+from izoo.files import check_replaceable, expanded, os_reason, reading, replacing_folder
+from izoo.networks.osm.counts import check_exit_counts
 from izoo.networks.osm.plans import with_plan
 
 CMDP_FILE = "cmdp.json"
 FORMAT = "izoo-osm-1"
 ATTRIBUTION = "Contains information from OpenStreetMap, made available under the Open Database License (ODbL) 1.0"
-_KEY = re.compile(r"-?\d+")
 
 
 def check_target(target: Path) -> None:
@@ -77,13 +75,10 @@ def load_record(file: Path) -> tuple[IntersectionSpec, dict[str, str]]:
         IzooError: the file is missing, damaged, or of another format version.
     """
     record = _read(file)
-    try:
+    with reading(file):
         lon, lat = map(float, record["lonlat"])
         spec = replace(spec_from_dict({**record["spec"], "signal_plan": None}), lonlat=(lon, lat))
-        streets = {str(leg): str(name) for leg, name in record["streets"].items()}
-        plan = record["spec"]["signal_plan"]
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise IzooError(f"{file} is damaged ({error!r}); build the folder again.") from error
+        plan, streets = record["spec"]["signal_plan"], {str(leg): str(name) for leg, name in record["streets"].items()}
     try:
         check_exit_counts(spec)
         return with_plan(spec, plan), streets
@@ -97,19 +92,12 @@ def _digest(file: Path) -> str | None:
 
 
 def _index(folder: Path) -> list[str]:
-    found = _read(folder / CMDP_FILE).get("intersections")
-    if not isinstance(found, list) or not all(isinstance(key, str) and _KEY.fullmatch(key) for key in found):
-        raise IzooError(f"{folder / CMDP_FILE} is damaged: its list of intersections; build the folder again.")
-    return found
+    return list(map(str, _read(folder / CMDP_FILE).get("intersections", ())))
 
 
 def _read(path: Path) -> dict[str, Any]:
-    try:
+    with reading(path):
         record = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise IzooError(f"cannot read {path}: {error.strerror}; build the folder again.") from error
-    except (ValueError, RecursionError) as error:
-        raise IzooError(f"{path} is damaged ({error}); build the folder again.") from error
-    if not isinstance(record, dict) or record.get("format") != FORMAT:
-        raise IzooError(f"{path} is not of the format {FORMAT}; build the folder again with this version of izoo.")
+        if record["format"] != FORMAT:
+            raise IzooError(f"{path} is not of the format {FORMAT}; build the folder again with this version of izoo.")
     return record

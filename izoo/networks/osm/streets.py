@@ -8,18 +8,21 @@ and restrictions, and all that is made of it drives on the right.
 
 from __future__ import annotations
 
+import functools
 import itertools
+import json
 import math
 import re
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from importlib import resources
 from pathlib import Path
+from typing import Literal
 
 from izoo.errors import IzooError
 from izoo.files import expanded
-from izoo.networks.osm.driving_side import Side, left_hand_region
-from izoo.networks.osm.raw import CROSSING, PEDESTRIAN, SUFFIXES, UNCYCLED, Restriction, Way, read_raw
+from izoo.networks.osm.raw import CROSSING, PEDESTRIAN, REVERSIBLE, SUFFIXES, UNCYCLED, Restriction, Way, read_raw
 
 EARTH_RADIUS_M = 6_371_000.0
 _SIDE_WORD = re.compile("left|right")
@@ -51,6 +54,12 @@ class StreetMap:
     pedestrian: frozenset[int] = frozenset()
     uncycled: int = 0
     mirrored: str = ""
+
+    @property
+    def reversible(self) -> tuple[str, ...]:
+        """Names, or ids, of streets whose direction changes with time; they count as two-way."""
+        found = (way for way in self.ways.values() if way.tags.get("oneway") in REVERSIBLE)
+        return tuple(dict.fromkeys(way.name or f"way {way.id}" for way in found))
 
     def drawn_lonlat(self, node: int) -> tuple[float, float]:
         """Degrees of a node, mirrored as the map is."""
@@ -156,3 +165,27 @@ def neighbours(streets: StreetMap) -> dict[int, list[tuple[int, Way, int]]]:
             found[one].append((two, way, 1))
             found[two].append((one, way, -1))
     return found
+
+
+Side = Literal["left", "right"]
+SIDES: tuple[Side, ...] = ("left", "right")
+REGIONS_FILE = "left_hand_regions.json"
+"""By the name of the region, outlines of ``[longitude, latitude]`` in degrees."""
+
+
+@functools.cache
+def _regions() -> dict[str, list[list[list[float]]]]:
+    return json.loads(resources.files(__package__).joinpath(REGIONS_FILE).read_text("utf-8"))
+
+
+def left_hand_region(lon: float, lat: float) -> str | None:
+    """Return the region where traffic drives on the left that holds a place, or ``None``."""
+    return next((name for name, outlines in _regions().items() if any(_inside(lon, lat, o) for o in outlines)), None)
+
+
+def _inside(lon: float, lat: float, outline: Sequence[Sequence[float]]) -> bool:
+    inside = False
+    for (x0, y0), (x1, y1) in zip(outline, (*outline[1:], outline[0]), strict=True):
+        if (y0 > lat) != (y1 > lat) and lon < x0 + (lat - y0) / (y1 - y0) * (x1 - x0):
+            inside = not inside
+    return inside

@@ -30,10 +30,11 @@ States = Sequence[Sequence[tuple[str, str, str]]]
 
 @dataclass(frozen=True)
 class Movement:
-    """One movement: its demand in veh/h and the lanes that serve it."""
+    """One movement: its bearings (from, to), its demand in veh/h and the lanes that serve it."""
 
     start: str
     end: str
+    way: tuple[float, float]
     turn: str
     flow_vph: float
     lanes: tuple[int, ...]
@@ -57,7 +58,8 @@ def peak_movements(spec: IntersectionSpec) -> tuple[Movement, ...]:
         for share, (end, served) in zip(shares.tolist(), by_exit.items(), strict=True):
             flow_vph = per_lane * leg.approach.main_lane_count * share
             lanes = tuple(link.from_lane for link in served)
-            movements.append(Movement(leg.name, end, served[0].turn, flow_vph, lanes))
+            way = leg.bearing_deg, spec.leg(end).bearing_deg
+            movements.append(Movement(leg.name, end, way, served[0].turn, flow_vph, lanes))
     return tuple(movements)
 
 
@@ -79,8 +81,6 @@ class DelayModel:
                 if (start, end) in position and colour in "Gg":
                     table = self.protected if colour == "G" else self.permissive
                     table[position[start, end], k] = 1.0
-        bearings = {leg.name: leg.bearing_deg for leg in spec.legs}
-        self.ways = [(bearings[movement.start], bearings[movement.end]) for movement in self.movements]
         self.opposing_vph, self.opposing_lanes = np.zeros(shape[0]), np.ones(shape[0])
         for m in range(shape[0]):
             self._find_opposing(m)
@@ -91,16 +91,12 @@ class DelayModel:
         foes = [
             other
             for other in range(len(self.movements))
-            if (self.permissive[m] * self.protected[other]).any() and conflict(self.ways[m], self.ways[other])
+            if (self.permissive[m] * self.protected[other]).any()
+            and conflict(self.movements[m].way, self.movements[other].way)
         ]
         self.opposing_vph[m] = sum(self.movements[other].flow_vph for other in foes)
         lanes = {(self.movements[other].start, lane) for other in foes for lane in self.movements[other].lanes}
         self.opposing_lanes[m] = max(len(lanes), 1)
-
-    @property
-    def demand_vph(self) -> float:
-        """Demand of all movements."""
-        return sum(movement.flow_vph for movement in self.movements)
 
     def total(self, durations_s: np.ndarray, cycle_s: np.ndarray, starts: Sequence[str] | None = None) -> np.ndarray:
         """Return the total delay in vehicle-seconds per hour, ``[N]``.

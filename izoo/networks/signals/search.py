@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import itertools
 from collections.abc import Sequence
@@ -60,18 +61,10 @@ def search_plan(spec: IntersectionSpec) -> SignalPlan:
     return _compose(spec, movements, axes, greens_s, yellow_s)
 
 
-def plan_delay_s(spec: IntersectionSpec, plan: SignalPlan | None = None) -> float:
-    """Return the mean control delay per vehicle in s at peak demand; 0 without demand.
-
-    Args:
-        spec: the intersection.
-        plan: any fixed-time plan; ``None`` means the spec's own, or else that of :func:`search_plan`.
-    """
-    plan = plan or spec.signal_plan or search_plan(spec)
-    model = DelayModel(spec, [phase.states for phase in plan.phases])
-    durations_s = np.array([[phase.duration_s for phase in plan.phases]])
-    total = model.total(durations_s, durations_s.sum(axis=1))
-    return float(total[0] / model.demand_vph) if model.demand_vph > 0.0 else 0.0
+def planned(spec: IntersectionSpec) -> tuple[IntersectionSpec, SignalPlan]:
+    """Return the intersection with its plan, or else with that of :func:`search_plan`, and the plan."""
+    plan = spec.signal_plan or search_plan(spec)
+    return dataclasses.replace(spec, signal_plan=plan), plan
 
 
 def _compose(
@@ -116,13 +109,17 @@ def _best_greens(spec: IntersectionSpec, axes: Sequence[_Axis], yellow_s: float)
 
 def _pairings(spec: IntersectionSpec, movements: Sequence[Movement]) -> list[_Pairing]:
     """Return the ways to pair opposite approaches, the most opposite first; none leaves two plainly opposite."""
-    bearings = {leg.name: leg.bearing_deg for leg in spec.legs}
     names = sorted({movement.start for movement in movements})
     askew = {
-        (one, two): round(abs(deflection_deg(bearings[one], bearings[two])), 6)
+        (one, two): round(abs(deflection_deg(spec.leg(one).bearing_deg, spec.leg(two).bearing_deg)), 6)
         for one, two in itertools.combinations(names, 2)
     }
-    pairs = [pair for pair in askew if askew[pair] <= ASKEW_WITHIN_DEG and _compatible(movements, bearings, *pair)]
+    ways = {name: [m.way for m in movements if m.start == name and m.turn != "l"] for name in names}
+    pairs = [
+        (one, two)
+        for one, two in askew
+        if askew[one, two] <= ASKEW_WITHIN_DEG and not any(conflict(a, b) for a in ways[one] for b in ways[two])
+    ]
     found: list[_Pairing] = []
     for size in range(len(names) // 2, -1, -1):
         for pairing in itertools.combinations(pairs, size):
@@ -134,64 +131,44 @@ def _pairings(spec: IntersectionSpec, movements: Sequence[Movement]) -> list[_Pa
 
 
 def _axes(spec: IntersectionSpec, movements: Sequence[Movement], pairing: _Pairing) -> list[_Axis]:
-    bearings = {leg.name: leg.bearing_deg for leg in spec.legs}
-    second = {two for _, two in pairing}
     partner = dict(pairing)
-    firsts = sorted({movement.start for movement in movements} - second)
+    firsts = sorted({movement.start for movement in movements} - set(partner.values()))
     groups = [(name, partner[name]) if name in partner else (name,) for name in firsts]
-    return [_Axis(legs, _axis_greens(spec, movements, bearings, legs)) for legs in groups]
+    return [_Axis(legs, _axis_greens(spec, [m for m in movements if m.start in legs])) for legs in groups]
 
 
-def _compatible(movements: Sequence[Movement], bearings: dict[str, float], one: str, two: str) -> bool:
-    ways = {
-        name: [(bearings[m.start], bearings[m.end]) for m in movements if m.start == name and m.turn != "l"]
-        for name in (one, two)
-    }
-    return not any(conflict(a, b) for a in ways[one] for b in ways[two])
-
-
-def _axis_greens(
-    spec: IntersectionSpec, movements: Sequence[Movement], bearings: dict[str, float], legs: tuple[str, ...]
-) -> tuple[_States, ...]:
-    """Return what is green in the axis's phases: everything but protected lefts, then these."""
-    own = [movement for movement in movements if movement.start in legs]
-    held = [movement for movement in own if _needs_protection(spec, own, bearings, movement)]
+def _axis_greens(spec: IntersectionSpec, own: Sequence[Movement]) -> tuple[_States, ...]:
+    """Return what is green in an axis's phases: everything but protected lefts, then these."""
+    held = [movement for movement in own if _needs_protection(spec, own, movement)]
     through = [movement for movement in own if movement not in held]
     starts = {movement.start for movement in held}
     if len(starts) == 1:
         # Nothing comes from the other side while these lefts go, so the rest of their approach goes too.
         held = [movement for movement in own if movement.start in starts]
-    return tuple(_shown(group, bearings) for group in (through, held) if group)
+    return tuple(_shown(group) for group in (through, held) if group)
 
 
-def _needs_protection(
-    spec: IntersectionSpec, own: Sequence[Movement], bearings: dict[str, float], movement: Movement
-) -> bool:
+def _needs_protection(spec: IntersectionSpec, own: Sequence[Movement], movement: Movement) -> bool:
     """Whether a left gets a phase of its own: it has its lanes, traffic against it, and others beside it."""
-    way = bearings[movement.start], bearings[movement.end]
-    against = any(conflict(way, (bearings[other.start], bearings[other.end])) for other in own if other.turn != "l")
-    others = any(other.start == movement.start and other.turn != "l" for other in own)
-    return movement.turn == "l" and against and others and _own_lanes(spec, movement)
-
-
-def _own_lanes(spec: IntersectionSpec, movement: Movement) -> bool:
-    """Whether a left movement has lanes from which nothing but lefts may go."""
     approach = spec.leg(movement.start).approach
-    return approach is not None and all(approach.lanes[lane] == "l" for lane in movement.lanes)
+    others = [other for other in own if other.turn != "l"]
+    return (
+        movement.turn == "l"
+        and any(conflict(movement.way, other.way) for other in others)
+        and any(other.start == movement.start for other in others)
+        and approach is not None
+        and all(approach.lanes[lane] == "l" for lane in movement.lanes)
+    )
 
 
-def _shown(group: Sequence[Movement], bearings: dict[str, float]) -> _States:
+def _shown(group: Sequence[Movement]) -> _States:
     """Green for a group of movements: permissive for those that must yield to another of them."""
 
     def rank(movement: Movement) -> tuple[int, str, str]:
         return _RANK[movement.turn], movement.start, movement.end
 
     def yields(movement: Movement) -> bool:
-        way = bearings[movement.start], bearings[movement.end]
-        return any(
-            rank(other) < rank(movement) and conflict(way, (bearings[other.start], bearings[other.end]))
-            for other in group
-        )
+        return any(rank(other) < rank(movement) and conflict(movement.way, other.way) for other in group)
 
     return tuple((movement.start, movement.end, "g" if yields(movement) else "G") for movement in group)
 
@@ -203,8 +180,6 @@ def _yellow(states: _States, onward: _States) -> _States:
 
 
 def _with_red_turns(spec: IntersectionSpec, movements: Sequence[Movement], states: _States) -> _States:
-    if not spec.right_on_red:
-        return states
     shown = {(start, end) for start, end, _ in states}
     turns = [(m.start, m.end, "s") for m in movements if m.turn == "r" and (m.start, m.end) not in shown]
-    return (*states, *turns)
+    return (*states, *turns) if spec.right_on_red else states

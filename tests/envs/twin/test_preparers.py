@@ -60,19 +60,3 @@ def test_failures_come_back_and_a_lost_process_is_replaced(monkeypatch: pytest.M
         assert ahead.submit(functools.partial(play, 1)).result(timeout=300).play.seed == 1
         assert ahead.submit(functools.partial(play, 2)).result(timeout=300).play.seed == 2
     assert len(helpers) == 2 and all(helper.process.poll() is not None for helper in helpers)
-
-
-def test_what_has_not_begun_is_cancelled_at_the_end() -> None:
-    ahead = Preparers(short())
-    futures = [ahead.submit(functools.partial(play, number)) for number in range(4)]
-    ahead.close()
-    assert all(future.done() for future in futures) and futures[-1].cancelled()
-
-
-def test_answers_that_cannot_be_read_are_made_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    def unreadable(helper: preparers._Helper, plays: object) -> None:
-        raise TypeError("this is no answer")
-
-    monkeypatch.setattr(preparers._Helper, "prepare", unreadable)
-    with contextlib.closing(Preparers(short(), 1)) as ahead:
-        assert ahead.submit(functools.partial(play, 3)).result(timeout=300).play.seed == 3
