@@ -312,7 +312,7 @@ class PPO:
     def _make_replayed(self) -> CudaGraphModule | None:
         """Return a gradient step whose work on the GPU is recorded once and then replayed: launching it takes longer.
 
-        ``None`` where it depends on the numbers: on who stands around whom, on censored actions, or on their scale.
+        ``None`` where it depends on the numbers: on which vehicles are near, on censored actions, or on values' scale.
         """
         seen = any(is_set_module(network) for network in (self.loss.actor_network, self.loss.critic_network))
         if seen or self.space.point_mass is not None or self.loss.value_norm is not None:

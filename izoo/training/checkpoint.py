@@ -6,6 +6,7 @@ import errno
 import os
 import re
 import shutil
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +24,15 @@ def folder_of(run_dir: Path) -> Path:
     return run_dir / "checkpoints"
 
 
-def save(run_dir: Path, frames: int, state: dict[str, Any], keep: int) -> Path:
-    """Write ``checkpoints/step-<frames>.pt``, then :func:`keep_newest`.
+def save(run_dir: Path, frames: int, state: dict[str, Any], keep: int, abandoned: Sequence[Path] = ()) -> Path:
+    """Write ``checkpoints/step-<frames>.pt``, then remove all but the ``keep`` newest.
 
     Args:
         run_dir: the run.
         frames: environment steps so far; orders the checkpoints.
         state: tensors, numbers, strings and containers of them.
         keep: at least 1.
+        abandoned: later checkpoints of a run that was resumed further back, which go then, too.
 
     Raises:
         OSError: the disk is full or not writable; other checkpoints are untouched.
@@ -45,15 +47,14 @@ def save(run_dir: Path, frames: int, state: dict[str, Any], keep: int) -> Path:
             torch.save({"format": FORMAT, "frames": frames, **state}, partial)
     except RuntimeError as error:  # of torch, where a write fails
         raise OSError(errno.EIO, "it was not written whole; is the disk full?", str(path)) from error
-    keep_newest(run_dir, frames, keep)
+    remove(old for old in abandoned if old != path)
+    remove(listed(run_dir)[:-keep])
     return path
 
 
-def keep_newest(run_dir: Path, frames: int, keep: int) -> None:
-    """Remove all but the ``keep`` newest checkpoints up to ``frames``; later ones are of a run resumed further back."""
-    paths = listed(run_dir)
-    kept = [path for path in paths if frames_of(path) <= frames][-keep:]
-    for path in {*paths}.difference(kept):
+def remove(paths: Iterable[Path]) -> None:
+    """Remove checkpoints, if they are there."""
+    for path in paths:
         path.unlink(missing_ok=True)
 
 

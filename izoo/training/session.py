@@ -61,6 +61,7 @@ class Session:
         self._batches: BatchSource | None = None
         self._baselines: BaselineComparison | None = None
         self._saved_at = state.frames if state.frames else -1
+        self._abandoned = [path for path in checkpoint.listed(run_dir) if checkpoint.frames_of(path) > state.frames]
         self._plotted_s, self._worked_s = state.seconds, 0.0
         self._threads = torch.get_num_threads()
 
@@ -85,7 +86,7 @@ class Session:
                 else:
                     print(f"All {self.state.frames:,} frames are there: nothing is left to train.", flush=True)
                     self.state.load(None)
-                    checkpoint.keep_newest(self.run_dir, self.state.frames, self.config.checkpoint.keep)
+                    checkpoint.remove(self._abandoned)
                 self._save()
                 self._say_unused_slots()
                 self._validate_last(interrupt)
@@ -223,8 +224,9 @@ class Session:
         if self._batches is not None:
             self.state.environments = self._batches.environments()
         try:
-            checkpoint.save(self.run_dir, self.state.frames, self.state.state_dict(), self.config.checkpoint.keep)
-            self._saved_at = self.state.frames
+            state, keep = self.state.state_dict(), self.config.checkpoint.keep
+            checkpoint.save(self.run_dir, self.state.frames, state, keep, self._abandoned)
+            self._saved_at, self._abandoned = self.state.frames, []
         except OSError as error:
             print(f"Could not save a checkpoint: {error}. {last_good(self.run_dir)}", file=sys.stderr, flush=True)
 

@@ -99,13 +99,13 @@ def test_a_killed_and_resumed_run_ends_like_an_uninterrupted_one(words: list[str
 
 
 def test_a_run_that_is_resumed_further_back_gives_up_later_checkpoints_once_it_has_one_of_its_own(
-    tmp_path: Path,
+    trained: Path, tmp_path: Path
 ) -> None:
-    for frames in (100, 200, 300):
-        checkpoint.save(tmp_path, frames, {}, keep=2)
-    assert [checkpoint.frames_of(path) for path in checkpoint.listed(tmp_path)] == [200, 300]
-    checkpoint.save(tmp_path, 250, {}, keep=2)
-    assert [checkpoint.frames_of(path) for path in checkpoint.listed(tmp_path)] == [200, 250]
+    run_dir = shutil.copytree(trained, tmp_path / "run")
+    (first,) = checkpoint.listed(run_dir)
+    for total, kept in ((100, [50, 100]), (150, [50, 150]), (50, [50])):
+        assert train.main([f"resume={first}", f"total_frames={total}", "checkpoint.every_batches=5"]) == 0
+        assert [checkpoint.frames_of(path) for path in checkpoint.listed(run_dir)] == kept
 
 
 def test_an_option_that_is_changed_leaves_the_others_of_its_group_as_they_were(tmp_path: Path) -> None:
