@@ -3,7 +3,7 @@
 A tuple of arrays, handed to a compiled function, is copied field by field at every call, and every array's references
 are counted; with some fifty arrays that costs minutes of compilation and most of the time of a step. Here compiled code
 gets the address of a *directory*, a few 64-bit words per array (address, lengths), and ``state.vehicles[v].speed``
-reads it there. Nothing is counted or copied: whoever calls keeps the arrays alive and never replaces them.
+reads it there. Nothing is counted or copied: the caller keeps the arrays alive and never replaces them.
 
 What such code sees are no numba arrays but *tables*, which know less and are faster. Indices are whole numbers from 0
 on; a negative one is not counted from the end, but reads what is not there. Tables have elements, which are numbers or

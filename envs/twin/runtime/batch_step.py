@@ -1,8 +1,9 @@
 """The steps of many environments in compiled code: what the policy orders, the twin's driving, and the MDP.
 
 A step has two halves where CO2 comes in between, for the vehicles of all environments at once: :func:`drive_all` takes
-the orders, drives, and says who is where; :func:`conclude_all` counts, pays, and writes the frames. With the compiled
-surrogate :func:`play_all` does all of it, some environments after the other, as many steps as a decision lasts.
+the orders, drives, and says which vehicle is where; :func:`conclude_all` counts, pays, and writes the frames. With the
+compiled surrogate :func:`play_all` does all of it, some environments after the other, for as many steps as a decision
+lasts.
 """
 
 from __future__ import annotations

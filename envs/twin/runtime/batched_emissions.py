@@ -155,7 +155,7 @@ def emit_group(addresses, rows):  # type: ignore[no-untyped-def]
 
 @compiled
 def gather(addresses, place, inputs):  # type: ignore[no-untyped-def]
-    """Write the inputs of all who emit something new to the next rows of their classes.
+    """Write the inputs of all vehicles that emit something new to the next rows of their classes.
 
     Args:
         addresses: as for :func:`~izoo.envs.twin.runtime.batch_step.drive_all`.

@@ -163,8 +163,8 @@ Item = _record(
 )
 """What a vehicle plans at a link: distance from its front to the link; speed for the coming step if the link is passed,
 and if not; speed on arrival and on leaving the way behind it; speed on arrival if the vehicle brakes at once; length of
-that way and of the vehicle; room behind the link up to the first who stands there. Link; vehicle; time of arrival at
-the link and of leaving the junction; 1 where the vehicle asks to pass; next item that approaches the same link."""
+that way and of the vehicle; room behind the link up to the first vehicle that stands there. Link; vehicle; time of
+arrival at the link and of leaving the junction; 1 where the vehicle asks to pass; next item of the same link."""
 Clock = _record("i8 now_ms steps next_departure items on_road lost_tails first_active last_active")
 """Time at which the coming step begins; steps done; first vehicle that was not due yet; items in use; vehicles on the
 road; how often a tail found no room (:data:`MAX_TAIL_LANES`); first and last lane in the order of busy lanes."""
@@ -195,7 +195,7 @@ class TwinState(NamedTuple):
         tail_lane: ``[N, MAX_TAIL_LANES]`` int32, lanes that the vehicle's tail is on, nearest to its front first.
         lanes: ``[L]``.
         tails: ``[L, MAX_TAIL_LANES]`` int32, vehicles with their tail on the lane.
-        waiting_first, waiting_last: ``[L]`` int32, per lane who waits to enter on it. waiting_next: ``[N]`` int32.
+        waiting_first, waiting_last: ``[L]`` int32, vehicles that wait to enter a lane. waiting_next: ``[N]`` int32.
         link_letter: ``[K]`` uint8, what the link shows now (``G g y r s``, or its state without signal).
         program_switch_ms: ``[T]`` int64, when the present phase ends.
         advice: ``[N, MAX_ADVICES]`` float64, speeds (m/s) advised in the last lane changing.
@@ -209,7 +209,7 @@ class TwinState(NamedTuple):
             float64: of lane changing.
         lane_room: ``[L]`` float64, length and minGap of the vehicles with their front on the lane, in m; set when
             lanes are changed. lane_room_before: the same as the step begins.
-        moved: ``[N]`` int32, who has left his lane.
+        moved: ``[N]`` int32, which have left their lane.
     """
 
     clock: Annotated[np.ndarray, Clock, 0]
