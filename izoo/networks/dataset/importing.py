@@ -1,8 +1,7 @@
 """Import of a downloaded dataset: every intersection is checked, the usable ones are copied and indexed.
 
 The target holds one folder per dataset (its name says the city), ``index.csv`` and ``manifest.json``. It appears whole,
-or not at all. Folders keep their names where these are plain, files
-get ours, and no more is unpacked than a net may hold.
+or not at all. Folders keep their names where these are plain, and no more is unpacked than a net may hold.
 """
 
 from __future__ import annotations
