@@ -46,7 +46,7 @@ def clock_tables(clock: SignalClock) -> Clock:
     for name in Shown.names:  # type: ignore[union-attr]
         shown[name] = getattr(clock, name)
     timing = np.array((clock.cycle_s, clock.offset_s), Timing)
-    return Clock(timing, np.ascontiguousarray(clock.phase_begin_s), shown.reshape(-1, shown.shape[-1]))
+    return Clock(timing, np.ascontiguousarray(clock.phase_begin_s), shown.reshape(-1, clock.colour.shape[-1]))
 
 
 @compiled

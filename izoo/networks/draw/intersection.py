@@ -311,7 +311,7 @@ def layout_of(road: RoadNet, spec: IntersectionSpec) -> Layout:
     lanes = [
         DrawnLane(_clip(shapes[k] - middle, extent))
         if place[k] == LEAVING
-        else DrawnLane(_clip(shapes[k][::-1] - middle, extent)[::-1], _turns_at_stop(road, spec, k))
+        else DrawnLane(_clip(shapes[k][::-1] - middle, extent)[::-1], _turns_at_stop(road, spec, int(k)))
         for k in np.flatnonzero(place != INSIDE)
     ]
     movements = [
