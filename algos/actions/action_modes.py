@@ -20,7 +20,7 @@ from izoo.envs.config import (
 from izoo.errors import CheckedOptions, check_range
 
 if TYPE_CHECKING:
-    from izoo.algos.actions.executed_actions import ExecutedAcceleration
+    from izoo.algos.actions.action_wrappers import ActionTransform
     from izoo.algos.learners.base import Algorithm
 
 Build = Callable[..., "Algorithm"]
@@ -85,18 +85,48 @@ class ActionSpace:
 
 
 class ActionMode(CheckedOptions):
-    """What options of a run ask of a choice of ``action=``.
+    """What the action of a policy means, and what that asks of other options.
 
     Attributes:
         sets: settings of the environment that go with it.
         commands: what the environment must take as actions.
         every_step: whether its policy has to decide in every step.
+        initial, spread: of the untrained policy; in place of ``algo.initial_accel_mps2`` and ``algo.initial_spread``
+            where the mode has both.
     """
 
     group = "action"
     sets: ClassVar[Mapping[str, Any]] = {}
     commands: ClassVar[Mapping[str, Any]] = {}
     every_step: ClassVar[bool] = False
+
+    def space(self, env: EnvConfig) -> ActionSpace:
+        """Return what the learned policy's actions may be."""
+        raise NotImplementedError
+
+    def transform(self, env: EnvConfig) -> ActionTransform | None:
+        """Return what turns them into commands; ``None``: they are commands."""
+        return None
+
+    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
+        """Return the algorithm that ``build`` makes, with its actions transformed, learning from executed ones if it
+        asks for that."""
+        from izoo.algos.actions.action_wrappers import ExecutedAcceleration, ExecutedActions, TransformedAlgorithm
+        from izoo.algos.drivers.by_name import make_driver
+
+        if hasattr(self, "initial"):
+            values = {"initial_accel_mps2": self.initial, "initial_spread": self.spread}  # type: ignore[attr-defined]
+            own = {name: value for name, value in values.items() if hasattr(config, name)}
+            config = dataclasses.replace(config, **own)
+        space, transform = self.space(env), self.transform(env)
+        learned = build(config, features, space)
+        replays = getattr(config, "stores", "commanded") == "applied" and env.action != SPEED
+        executed = ExecutedAcceleration(env) if replays else None
+        if transform is None:
+            return learned if executed is None else ExecutedActions(learned, executed)
+        expert = getattr(config, "warm_start", "none")
+        driver = None if expert == "none" else make_driver(expert, env)
+        return TransformedAlgorithm(learned, transform, space.high, expert=driver, executed=executed)
 
 
 @dataclass(frozen=True)
@@ -115,14 +145,8 @@ class DirectAction(ActionMode):
     sets = BY_STEP
     ranges = (("low_mps2", -100.0, -0.01, "m/s^2"), ("high_mps2", 0.01, 100.0, "m/s^2"))
 
-    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
-        """Return the algorithm that ``build`` makes."""
-        learned = build(config, features, ActionSpace(self.low_mps2, self.high_mps2))
-        if not _stores_applied(config):
-            return learned
-        from izoo.algos.actions.executed_actions import ExecutedActions
-
-        return ExecutedActions(learned, env)
+    def space(self, env: EnvConfig) -> ActionSpace:
+        return ActionSpace(self.low_mps2, self.high_mps2)
 
 
 @dataclass(frozen=True)
@@ -150,10 +174,8 @@ class SpeedAction(ActionMode):
         super().__post_init__()
         check_range("action.initial", self.initial, self.slowest + 0.01, 0.99)
 
-    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
-        """Return the algorithm that ``build`` makes."""
-        config = _with_initial(config, self.initial, self.spread)
-        return build(config, features, ActionSpace(self.slowest, 1.0, size=env.action_size))
+    def space(self, env: EnvConfig) -> ActionSpace:
+        return ActionSpace(self.slowest, 1.0, size=env.action_size)
 
 
 @dataclass(frozen=True)
@@ -177,18 +199,13 @@ class ArriveAction(ActionMode):
     spread: float = 0.6
     ranges = (("slowest", MIN_SHARE, 0.9), ("initial", 0.01, 0.99), ("spread", *SPREADS))
 
-    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
-        """Return the algorithm that ``build`` makes."""
-        from izoo.algos.actions.arrival import Arrival, Arriving
+    def space(self, env: EnvConfig) -> ActionSpace:
+        return ActionSpace(0.0, 1.0, size=2)
 
-        learned = build(_with_initial(config, self.initial, self.spread), features, ActionSpace(0.0, 1.0, size=2))
-        return Arriving(learned, Arrival(env, self.slowest))
+    def transform(self, env: EnvConfig) -> ActionTransform:
+        from izoo.algos.actions.arrival import Arrival
 
-
-def _with_initial(config: Any, initial: float, spread: float) -> Any:
-    """Return an algorithm's options with the median and the spread of its untrained policy."""
-    values = {"initial_accel_mps2": initial, "initial_spread": spread}
-    return dataclasses.replace(config, **{name: value for name, value in values.items() if hasattr(config, name)})
+        return Arrival(env, self.slowest)
 
 
 @dataclass(frozen=True)
@@ -219,17 +236,13 @@ class AdviseAction(ActionMode):
         """The point mass at the action 0."""
         return PointMass(self.act_share, self.spread)
 
-    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
-        """Return the algorithm that ``build`` makes, with its actions transformed."""
-        from izoo.algos.actions.action_wrappers import SpeedCap, TransformedAlgorithm
-        from izoo.algos.drivers.by_name import make_driver
+    def space(self, env: EnvConfig) -> ActionSpace:
+        return ActionSpace(-self.depth, self.depth, self.point_mass)
 
-        learned = build(config, features, ActionSpace(-self.depth, self.depth, self.point_mass))
-        name = getattr(config, "warm_start", "none")
-        expert = None if name == "none" else make_driver(name, env)
-        return TransformedAlgorithm(
-            learned, SpeedCap(env, self.brake_mps2), self.depth, expert=expert, executed=_executed(config, env)
-        )
+    def transform(self, env: EnvConfig) -> ActionTransform:
+        from izoo.algos.actions.action_wrappers import SpeedCap
+
+        return SpeedCap(env, self.brake_mps2)
 
 
 @dataclass(frozen=True)
@@ -263,28 +276,13 @@ class ResidualAction(ActionMode):
         """The point mass at the action 0."""
         return PointMass(self.act_share, self.spread, two_sided=True)
 
-    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
-        """Return the algorithm that ``build`` makes, with its actions transformed."""
-        from izoo.algos.actions.action_wrappers import TransformedAlgorithm
+    def space(self, env: EnvConfig) -> ActionSpace:
+        return ActionSpace(-self.half_width_mps2, self.half_width_mps2, self.point_mass)
+
+    def transform(self, env: EnvConfig) -> ActionTransform:
         from izoo.algos.actions.residual import Correction, NominalDriver
 
-        space = ActionSpace(-self.half_width_mps2, self.half_width_mps2, self.point_mass)
-        learned = build(config, features, space)
-        return TransformedAlgorithm(
-            learned, Correction(NominalDriver(env)), self.half_width_mps2, executed=_executed(config, env)
-        )
-
-
-def _stores_applied(config: Any) -> bool:
-    """Whether an algorithm replays executed actions instead of commanded ones."""
-    return getattr(config, "stores", "commanded") == "applied"
-
-
-def _executed(config: Any, env: EnvConfig) -> ExecutedAcceleration | None:
-    """Return what reads executed accelerations, if the algorithm learns from them."""
-    from izoo.algos.actions.executed_actions import ExecutedAcceleration
-
-    return ExecutedAcceleration(env) if _stores_applied(config) else None
+        return Correction(NominalDriver(env))
 
 
 ActionConfig = DirectAction | SpeedAction | ArriveAction | AdviseAction | ResidualAction

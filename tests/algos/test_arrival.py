@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from izoo.algos.actions.action_modes import ArriveAction
-from izoo.algos.actions.arrival import LATENESS, Arrival
+from izoo.algos.actions.action_wrappers import RAW_ACTION
+from izoo.algos.actions.arrival import Arrival
 from izoo.algos.learners.base import ACTION, DECIDES, MASK
 from izoo.algos.learners.decisions import Decisions
 from izoo.algos.learners.registry import make_algorithm, preset
@@ -65,8 +66,8 @@ def seen(distance_m: float, colour: str, left_s: float, second_s: float) -> torc
 )
 def test_speeds_are_those_that_arrive_in_time(observation: torch.Tensor, late: float, arrival_s: float) -> None:
     arrival = Arrival(CONFIG, slowest=0.2)
-    speeds = arrival(observation, torch.tensor([[late, 0.25]]))
-    distance_m = -float(observation[0, arrival.columns["stop_line_distance"]]) * DISTANCE_SCALE_M
+    speeds, _ = arrival.command((observation,), torch.tensor([[late, 0.25]]))
+    distance_m = -float(arrival.seen(observation, "stop_line_distance"))
     assert float(speeds[0, 0]) * LIMIT_MPS == pytest.approx(distance_m / arrival_s, rel=1e-4)
     assert float(speeds[0, 1]) == pytest.approx(0.8)
 
@@ -74,8 +75,8 @@ def test_speeds_are_those_that_arrive_in_time(observation: torch.Tensor, late: f
 def test_who_is_past_the_line_or_would_have_to_creep_stays_within_bounds() -> None:
     arrival = Arrival(CONFIG, slowest=0.2)
     past, far = seen(-20.0, "green", 5.0, 35.0), seen(20.0, "red", 29.0, 79.0)
-    assert float(arrival(past, torch.tensor([[0.9, 0.0]]))[0, 0]) == 1.0
-    assert arrival(far, torch.tensor([[0.9, 1.0]]))[0].tolist() == pytest.approx([0.2, 0.2])
+    assert float(arrival.command((past,), torch.tensor([[0.9, 0.0]]))[0][0, 0]) == 1.0
+    assert arrival.command((far,), torch.tensor([[0.9, 1.0]]))[0][0].tolist() == pytest.approx([0.2, 0.2])
 
 
 @pytest.mark.parametrize("name", ["ppo", "ddpg"])
@@ -88,16 +89,16 @@ def test_learners_learn_from_what_they_said(name: str) -> None:
     ):
         batch = env.rollout(40, algorithm.policy, break_when_any_done=False)
     asked = batch[MASK] & batch[DECIDES]
-    assert ((batch[LATENESS][asked] > 0.0) & (batch[LATENESS][asked] < 1.0)).all()
+    assert ((batch[RAW_ACTION][asked] > 0.0) & (batch[RAW_ACTION][asked] < 1.0)).all()
     assert ((batch[ACTION][asked] >= 0.2) & (batch[ACTION][asked] <= 1.0)).all()
     decisions = Decisions()(batch)
     given: dict[str, torch.Tensor] = {}
     algorithm.learned.update = lambda own, progress: given.update(action=own[ACTION]) or {}
     algorithm.update(decisions, 0.0)
-    assert torch.equal(given["action"], decisions[LATENESS]) and not torch.equal(given["action"], decisions[ACTION])
+    assert torch.equal(given["action"], decisions[RAW_ACTION]) and not torch.equal(given["action"], decisions[ACTION])
 
 
 def test_what_must_be_observed_is_said() -> None:
     blind = EnvConfig(**(vars(CONFIG) | {"observed": ("red_s", "speed_limit_mps")}))
-    with pytest.raises(IzooError, match="action=arrive needs green_s"):
+    with pytest.raises(IzooError, match="action=arrive needs context_green_s"):
         Arrival(blind, 0.2)
