@@ -54,7 +54,7 @@ class TwinBackend:
         num_envs: ``N``.
         threads: how many threads share the environments out among them, this one included.
         surrogate: what computes CO2: ``torch``, the module in one call for all vehicles; ``cuda``, the same on a GPU;
-            or ``compiled``.
+            or ``compiled``, as SUMO's environments have it.
 
     Attributes:
         frames: the arrays ``[N, ...]`` that this backend writes.
@@ -64,7 +64,7 @@ class TwinBackend:
 
     played: Callable[[slice], None] | None = None
 
-    def __init__(self, config: EnvConfig, num_envs: int, threads: int = 1, surrogate: str = "torch") -> None:
+    def __init__(self, config: EnvConfig, num_envs: int, threads: int = 1, surrogate: str = "compiled") -> None:
         check_whole("num_envs", num_envs, 1, 65536)
         check_whole("threads", threads, 1, 1024)
         check_choice("surrogate", surrogate, SURROGATES)
@@ -358,9 +358,3 @@ def _use_one_torch_thread() -> None:
 def _close(pool: ThreadPool, preparers: Preparers) -> None:
     preparers.close()
     pool.close()
-
-
-def single(config: EnvConfig) -> tuple[dict[str, np.ndarray], TwinBackend]:
-    """Return the frames and the backend of one environment, with the surrogate that SUMO's environments have."""
-    backend = TwinBackend(config, 1, surrogate="compiled")
-    return backend.frames, backend

@@ -27,7 +27,6 @@ from izoo.envs.sumo.workers import SumoWorkers
 from izoo.envs.views.commands import Commands
 from izoo.envs.views.controlled_vehicles import EPISODES_SEARCHED, first_with_cvs
 from izoo.errors import IzooError, check_choice, check_seed, unknown_choice
-from izoo.imports import imported
 
 if TYPE_CHECKING:
     from izoo.envs.env import Contexts
@@ -86,16 +85,11 @@ class ViewSession:
         self._make_backend()
 
     def _make_backend(self) -> None:
-        backend: Backend
         chosen = simulator_of(self._simulator)
-        if self._in_process or chosen.batched:
-            frames, backend = imported("simulator", chosen.single)(self.config)
-        else:
-            backend = workers = SumoWorkers(self.config, 1, poll=False)
-            frames = workers.frames
-        self.frame = row_of(frames, 0)
-        self._backend = backend
-        self._finalizer = weakref.finalize(self, backend.close)
+        here = self._in_process or chosen.batched
+        self._backend: Backend = chosen.make_backend(self.config) if here else SumoWorkers(self.config, 1, poll=False)
+        self.frame = row_of(self._backend.frames, 0)
+        self._finalizer = weakref.finalize(self, self._backend.close)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what makes an equal session; only one that has not begun can be copied.

@@ -68,7 +68,7 @@ def test_one_step_is_the_simulators(tmp_path: Path) -> None:
     env = EcoDrivingEnv(context, config=EnvConfig(emit=("vehicles",), horizon_s=150.0))
     try:
         path = write_trajectories(env.rollout(env.config.control_steps), tmp_path / "trajectories.csv")
-        traffic = env.backend.episode.traffic
+        traffic = env.backend.simulation().episode.traffic
     finally:
         env.close()
     data = read_following([path], ReadConfig())[0]["light"]

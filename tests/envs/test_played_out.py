@@ -200,7 +200,7 @@ def test_team_rewards_add_up_to_the_measure(changes: dict[str, Any], hold_s: flo
     busy = crossing(lane_count=1, inflow_vph_per_lane=800.0, **changes)
     with contextlib.closing(EcoDrivingEnv(busy, config=config)) as env:
         state, team = env.reset(context=busy, seed=SEED), 0.0
-        unit_g = float(env.backend.episode._world.rules["fleet_g_per_step"])  # type: ignore[attr-defined]
+        unit_g = float(env.backend.simulation().episode._world.rules["fleet_g_per_step"])  # type: ignore[attr-defined]
         while not state["done"].item():
             state = env.step_lean(hurry(state))
             team += float(state["team_reward"])

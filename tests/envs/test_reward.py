@@ -134,7 +134,7 @@ def test_vehicles_that_left_during_the_warm_up_are_not_blocked() -> None:
             EcoDrivingEnv(crossing(inflow_vph_per_lane=200.0, adoption=0.0), config=config, simulator=simulator)
         ) as env:
             play(env, config.control_steps - 1, defer)
-            run = env.backend if simulator == "sumo" else env.backend._runs[0]  # type: ignore[attr-defined]
+            run = env.backend.simulation() if simulator == "sumo" else env.backend._runs[0]  # type: ignore[attr-defined]
             tables = run.episode.tables
             status, arrival_step = tables.demand["status"], tables.demand["arrival_step"]
             assert (arrival_step == 0).sum() > 5 and ((status == ENTERED) == (arrival_step != NEVER)).all()

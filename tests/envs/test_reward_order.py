@@ -68,7 +68,7 @@ def test_own_rewards_add_up_to_the_teams() -> None:
     config = dataclasses.replace(CONFIG, horizon_s=225.0)
     with contextlib.closing(EcoDrivingEnv(everyone, config=config)) as env:
         state = env.reset(context=everyone, seed=4)
-        world = env.backend.episode._world  # type: ignore[attr-defined]
+        world = env.backend.simulation().episode._world  # type: ignore[attr-defined]
         scale = float(world.unit_g[0] / float(world.rules["fleet_g_per_step"]))
         for _ in range(config.decisions):
             asked = state["agents", "mask"].clone()
