@@ -46,10 +46,8 @@ class Toy(Simulation):
                 episode.release(row)
         while self.waiting and traffic.depart_s[self.waiting[0]] <= episode.time_s:
             number = self.waiting.pop(0)
-            onward = road.next_lane[:, traffic.exit[number]] >= 0
-            first = np.flatnonzero(
-                (road.lane_approach == traffic.approach[number]) & (road.lane_location == 0) & onward
-            )
+            lanes = road.next_lane[:, traffic.exit[number]] >= 0
+            lanes &= (road.lane_approach == traffic.approach[number]) & (road.lane_location == 0)
             self.due.append(number)
             self.cars[episode.admit(number, 0.0)] = [int(np.argmax(lanes)), 0.0, 10.0, None, traffic.exit[number]]
         episode.write_frame(self.reading(), self.all_left)
