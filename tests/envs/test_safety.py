@@ -58,7 +58,7 @@ def test_red_crossings_are_noticed() -> None:
     ) as env:
         state = env.reset()
         for _ in range(env.config.control_steps - 1):
-            for name in env.backend.simulation().ids.row_of:
+            for name in env.backend.simulation().row_of:
                 libsumo.vehicle.setSpeedMode(name, 0)
             frame, state = env.step_and_maybe_reset(flat_out(state))
         sums = frame["next", "metrics", "approach"]

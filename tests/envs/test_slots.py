@@ -166,5 +166,5 @@ def test_a_vehicle_that_passes_its_approach_within_a_step_is_found() -> None:
         for _ in range(env.config.control_steps - 1):
             _, state = env.step_and_maybe_reset(defer(state))
             region |= {name for edge in edges for name in simulator.session.on_edge(edge)}
-            known |= set(simulator.simulation().ids.row_of)
+            known |= set(simulator.simulation().row_of)
     assert len(region) > 50 and known == region
