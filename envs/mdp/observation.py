@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from izoo.contexts.context import ENGINES, Context
-from izoo.contexts.features import BY_NAME, scales
+from izoo.contexts.features import BY_NAME
 from izoo.networks.clock import GREEN, RED, YELLOW
 from izoo.networks.road import APPROACHING, INSIDE, LEAVING, RoadNet
 from izoo.networks.turning import LEFT, RIGHT, STRAIGHT
@@ -171,7 +171,7 @@ def observed_table(context: Context, road: RoadNet, names: Sequence[str]) -> np.
     columns = [np.broadcast_to(np.asarray(FEATURE_VALUES[name](context, road), float), shape) for name in names]
     if not columns:
         return np.zeros((*shape, 0))
-    return np.stack(columns, axis=-1) / np.array(scales(names))
+    return np.stack(columns, axis=-1) / np.array([BY_NAME[name].scale for name in names])
 
 
 def neighbour_columns(neighbours: Sequence[str]) -> np.ndarray:

@@ -8,12 +8,11 @@ and the compiled code (:mod:`izoo.envs.mdp.reward_kernel`).
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from izoo.errors import IzooError, check_range, check_types
+from izoo.errors import CheckedOptions, IzooError
 
 TTC_CAP_S = 10.0
 _TERM = "reward term"
@@ -84,7 +83,7 @@ def _ttc_s(vehicle: Any, config: Any) -> float:
 
 
 @dataclass(frozen=True)
-class RewardConfig:
+class RewardConfig(CheckedOptions):
     """Weights of the reward, ``r_i = (sum of w_k (eta mean_j(x_jk) + (1 - eta) x_ik) + sum of w_s y_s) / scale``.
 
     ``x_ik`` are the individual terms of vehicle ``i`` after the step: its speed in m/s, whether it is stopped, its CO2
@@ -127,6 +126,9 @@ class RewardConfig:
         upper=TTC_CAP_S,
     )
 
+    group = "reward"
+    ranges = (("eta", 0.0, 1.0), ("tau_mps", 1e-3, 100.0, "m/s"), ("scale", 1e-6, 1e9))
+
     @classmethod
     def paper(cls) -> RewardConfig:
         """Return the reward of the paper: the defaults."""
@@ -147,18 +149,12 @@ class RewardConfig:
         return dataclasses.replace(cls.fuel(), eta=1.0)
 
     def __post_init__(self) -> None:
-        check_types("reward", self)
-        check_range("reward.eta", self.eta, 0.0, 1.0)
-        check_range("reward.tau_mps", self.tau_mps, 1e-3, 100.0, "m/s")
-        check_range("reward.scale", self.scale, 1e-6, 1e9)
+        super().__post_init__()
         if self.sums and not (self.beta or self.delay):
             raise IzooError(
                 "reward.sums=true is in units of human driving's CO2, but reward.beta and reward.delay are both 0: the "
                 "reward has no CO2 and no delay. Choose env.reward=fuel, or set one of them below 0."
             )
-        for option in TERMS:
-            if not math.isfinite(getattr(self, option)):
-                raise IzooError(f"reward.{option} is {getattr(self, option)}; give a finite number, 0 to leave it out.")
 
 
 PRESETS = ("paper", "fuel", "fuel_team")
