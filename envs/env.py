@@ -260,28 +260,19 @@ def numbering(number: int | None, of: int, count: int, seed: int, *, name: str =
         IzooError: there is no such group, or it is not said which this is.
     """
     check_whole(f"num_{name}s", of, 1, MAX_WORKERS)
-    if number is None:
-        if of > 1:
-            raise IzooError(f"num_{name}s is {of}, and it is not said which of them this is; give {name}=k, too.")
-        _warn_of_doubles(name, seed)
-    else:
+    if number is not None:
         check_whole(name, number, 0, of - 1)
-    return (number or 0) * count, of * count
-
-
-def _warn_of_doubles(name: str, seed: int) -> None:
-    """Say that environments which were not told their numbers may play the same episodes.
-
-    An environment cannot know of the others beside it, but that it was made in a process of ``multiprocessing``, as
-    TorchRL's ``ParallelEnv`` does, makes others likely.
-    """
-    if multiprocessing.parent_process() is not None:
-        # No warning of Python: TorchRL silences those in its workers.
+    elif of > 1:
+        raise IzooError(f"num_{name}s is {of}, and it is not said which of them this is; give {name}=k, too.")
+    elif multiprocessing.parent_process() is not None:
+        # TorchRL's ParallelEnv, say, makes others beside it. No warning of Python: TorchRL silences those in its
+        # workers.
         _log.warning(
             "an environment was made in a worker process without %s=: every such process with seed=%s plays the same "
             "episodes. Give %s=k and num_%ss=N, or %s=0 if that is meant.",
             *(name, seed, name, name, name),
         )
+    return (number or 0) * count, of * count
 
 
 class EcoDrivingEnv(EcoDrivingBase):

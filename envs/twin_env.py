@@ -169,14 +169,7 @@ class TwinEnv(SideBySideEnv):
             IzooError: another number of environments, another schedule, other settings or another user saved it; the
                 environments stay as they are.
         """
-        plays = self._plays_of(state)
-        try:
-            self.backend.check_states(plays, [packed.numpy() for packed in state["packed"]])
-        except IzooError:
-            if self.backend.started:
-                self._look_ahead()
-            raise
-        self.backend.unpack(plays, [packed.numpy() for packed in state["packed"]])
+        self.backend.unpack(self._plays_of(state), [packed.numpy() for packed in state["packed"]])
         self._next_episode[:] = state["next_episodes"]
         self._look_ahead()
 

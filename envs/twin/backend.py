@@ -181,21 +181,6 @@ class TwinBackend:
         with ThreadPoolExecutor(self.threads) as pool:
             return list(pool.map(TwinRun.pack, (self._run(index) for index in range(self.num_envs))))
 
-    def check_states(self, plays: Mapping[int, Play], packed: Sequence[np.ndarray]) -> None:
-        """Raise :class:`IzooError` where states do not fit the episodes; all environments stay as they are."""
-        frames = map_frames(bytearray(frame_bytes(self.config, 1)), self.config, 1)
-        desk = Desk()
-        self.forget_ahead()  # an episode of the same number need not be the same one
-        try:
-            for index, play in plays.items():
-                # Prepared ahead, each will be there when it is begun.
-                self.expect(index, play.number, fixed(play))
-                prepared = self._ahead[index][1].result()
-                TwinRun(self.config, row_of(frames, 0), self._weights, prepared, desk).unzip(packed[index])
-        except IzooError:
-            self.forget_ahead()
-            raise
-
     def unpack(self, plays: Mapping[int, Play], packed: Sequence[np.ndarray]) -> None:
         """Go on from the states of all environments, which play ``plays``."""
         with self._whole():

@@ -1,6 +1,6 @@
 import pytest
 
-from izoo.contexts.features import OBSERVED, check_observed, scales
+from izoo.contexts.features import OBSERVED, check_observed
 from izoo.errors import IzooError
 
 
@@ -13,7 +13,6 @@ def test_observed_features_have_the_documented_order():
 
 def test_selection_comes_back_in_canonical_order():
     assert check_observed(["engine", "adoption"]) == ("adoption", "engine")
-    assert scales(["speed_limit_mps", "green_s"]) == (100.0, 15.0)
 
 
 @pytest.mark.parametrize(
