@@ -51,35 +51,11 @@ def term(
     return dataclasses.field(default=weight, metadata={_TERM: RewardTerm(name, unit, value, upper), "help": help})
 
 
-def _speed_mps(vehicle: Any, config: Any) -> float:
-    return vehicle.speed_mps
-
-
 def _stopped(vehicle: Any, config: Any) -> float:
     v = vehicle.speed_mps
     if v >= config.tau_mps:
         return 0.0
     return (config.tau_mps - v) / config.tau_mps if config.soft_stop else 1.0
-
-
-def _emission_g(vehicle: Any, config: Any) -> float:
-    return vehicle.emission_g
-
-
-def _comfort(vehicle: Any, config: Any) -> float:
-    return -abs(vehicle.accel_mps2)
-
-
-def _realism(vehicle: Any, config: Any) -> float:
-    return -abs(vehicle.accel_mps2 - vehicle.prev_accel_mps2)
-
-
-def _delay_s(vehicle: Any, config: Any) -> float:
-    return vehicle.delay_s
-
-
-def _ttc_s(vehicle: Any, config: Any) -> float:
-    return vehicle.ttc_s
 
 
 @dataclass(frozen=True)
@@ -105,23 +81,35 @@ class RewardConfig(CheckedOptions):
     """
 
     eta: float = 1.0
-    speed: float = term(1.0, "speed_mps", "m/s", _speed_mps, "weight of speed.")
+    speed: float = term(1.0, "speed_mps", "m/s", lambda vehicle, config: vehicle.speed_mps, "weight of speed.")
     alpha: float = term(-35.0, "stopped", "1", _stopped, "weight of stopping.")
-    beta: float = term(-3.0, "emission_g", "g", _emission_g, "weight of emission.")
+    beta: float = term(-3.0, "emission_g", "g", lambda vehicle, config: vehicle.emission_g, "weight of emission.")
     tau_mps: float = 1.0
     scale: float = 15.0
     soft_stop: bool = False
     sums: bool = False
-    comfort: float = term(0.0, "comfort", "m/s^2", _comfort, "weight of the comfort term.")
-    realism: float = term(0.0, "realism", "m/s^2", _realism, "weight of the kinematic-realism term.")
+    comfort: float = term(
+        0.0, "comfort", "m/s^2", lambda vehicle, config: -abs(vehicle.accel_mps2), "weight of the comfort term."
+    )
+    realism: float = term(
+        0.0,
+        "realism",
+        "m/s^2",
+        lambda vehicle, config: -abs(vehicle.accel_mps2 - vehicle.prev_accel_mps2),
+        "weight of the kinematic-realism term.",
+    )
     delay: float = term(
-        0.0, "delay_s", "s", _delay_s, "weight of the time lost against driving at the limit, below 0 to avoid it."
+        0.0,
+        "delay_s",
+        "s",
+        lambda vehicle, config: vehicle.delay_s,
+        "weight of the time lost against driving at the limit, below 0 to avoid it.",
     )
     safety: float = term(
         0.0,
         "min_ttc_s",
         "s",
-        _ttc_s,
+        lambda vehicle, config: vehicle.ttc_s,
         "weight of the smallest time to collision over all vehicles, capped at 10 s, shared by all.",
         upper=TTC_CAP_S,
     )
