@@ -197,7 +197,7 @@ class EnvConfig:
     @property
     def behind_column(self) -> int:
         """Which number of an action is the desired speed behind the stop line; -1: none, it is 1."""
-        return {WHOLE_WAY: 0, BEFORE: -1}.get(self._speed_parts, 1)
+        return (BEFORE, WHOLE_WAY, BEFORE_AND_BEHIND).index(self._speed_parts) - 1
 
     @property
     def stop_column(self) -> int:
