@@ -108,7 +108,7 @@ def gentle_stops(state: TensorDictBase) -> TensorDictBase:
 
 
 def test_sumo_and_twin_stop_gently_alike() -> None:
-    """Vehicles brake from far before a red light that they cannot avoid, where their own driver brakes later, harder."""
+    """Vehicles brake from far before a red light that they cannot avoid; their own driver brakes later and harder."""
     config, context = speeds(action_parts=("speed_before", "stop")), one_lane(inflow_vph_per_lane=200.0, adoption=1.0)
 
     def gentlest_stop_mps2(steps: list[dict[int, Any]]) -> float:
