@@ -15,6 +15,7 @@ from izoo.envs.config import (
     BY_STEP,
     MIN_SHARE,
     SPEED,
+    STOP,
     EnvConfig,
 )
 from izoo.errors import CheckedOptions, check_range
@@ -89,7 +90,6 @@ class ActionMode(CheckedOptions):
 
     Attributes:
         sets: settings of the environment that go with it.
-        commands: what the environment must take as actions.
         every_step: whether its policy has to decide in every step.
         initial, spread: of the untrained policy; in place of ``algo.initial_accel_mps2`` and ``algo.initial_spread``
             where the mode has both.
@@ -97,8 +97,12 @@ class ActionMode(CheckedOptions):
 
     group = "action"
     sets: ClassVar[Mapping[str, Any]] = {}
-    commands: ClassVar[Mapping[str, Any]] = {}
     every_step: ClassVar[bool] = False
+
+    @property
+    def commands(self) -> Mapping[str, Any]:
+        """What the environment must take as actions."""
+        return {}
 
     def space(self, env: EnvConfig) -> ActionSpace:
         """Return what the learned policy's actions may be."""
@@ -153,8 +157,8 @@ class DirectAction(ActionMode):
 class SpeedAction(ActionMode):
     """The policy's action is a desired speed, as a share of the limit, which the vehicle's own car-following keeps to.
 
-    It may be one number or one each before and behind the stop line (``env.action_parts``). It takes the place of
-    ``algo.initial_accel_mps2`` and ``algo.initial_spread``.
+    It may be one number or one each before and behind the stop line, and a last one how gently to stop
+    (``env.action_parts``). It takes the place of ``algo.initial_accel_mps2`` and ``algo.initial_spread``.
 
     Attributes:
         name: the action mode.
@@ -164,7 +168,6 @@ class SpeedAction(ActionMode):
     """
 
     name: Literal["speed"] = "speed"
-    commands: ClassVar[Mapping[str, Any]] = {"action": SPEED}
     slowest: float = 0.2
     initial: float = 0.85
     spread: float = 0.6
@@ -173,6 +176,11 @@ class SpeedAction(ActionMode):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_range("action.initial", self.initial, self.slowest + 0.01, 0.99)
+
+    @property
+    def commands(self) -> Mapping[str, Any]:
+        """What the environment must take as actions."""
+        return {"action": SPEED}
 
     def space(self, env: EnvConfig) -> ActionSpace:
         return ActionSpace(self.slowest, 1.0, size=env.action_size)
@@ -188,19 +196,26 @@ class ArriveAction(ActionMode):
     Attributes:
         name: the action mode.
         slowest: no desired speed is a smaller share of the limit.
-        initial: the untrained policy's median of both numbers; 0 is early and at the limit, 1 late and slow.
+        stop: whether a third number says how gently to stop (the part ``stop`` of ``env.action_parts``).
+        initial: the untrained policy's median of all numbers; 0 is early, at the limit and left alone, 1 late, slow and
+            gentle.
         spread: standard deviation of an untrained normal policy before the tanh.
     """
 
     name: Literal["arrive"] = "arrive"
-    commands: ClassVar[Mapping[str, Any]] = {"action": SPEED, "action_parts": BEFORE_AND_BEHIND}
     slowest: float = 0.2
+    stop: bool = False
     initial: float = 0.25
     spread: float = 0.6
     ranges = (("slowest", MIN_SHARE, 0.9), ("initial", 0.01, 0.99), ("spread", *SPREADS))
 
+    @property
+    def commands(self) -> Mapping[str, Any]:
+        """What the environment must take as actions."""
+        return {"action": SPEED, "action_parts": (*BEFORE_AND_BEHIND, STOP) if self.stop else BEFORE_AND_BEHIND}
+
     def space(self, env: EnvConfig) -> ActionSpace:
-        return ActionSpace(0.0, 1.0, size=2)
+        return ActionSpace(0.0, 1.0, size=env.action_size)
 
     def transform(self, env: EnvConfig) -> ActionTransform:
         from izoo.algos.actions.arrival import Arrival

@@ -11,11 +11,13 @@ from torch import Tensor
 
 from izoo.algos.actions.action_wrappers import ActionTransform
 from izoo.algos.drivers.observed import Observed
-from izoo.envs.config import EnvConfig
+from izoo.envs.config import MIN_SHARE, EnvConfig
 
 
 class Arrival(ActionTransform):
     """Turns lateness into desired speeds: 0 is early and unhindered behind the line, 1 is as late as possible.
+
+    A third number becomes the part ``stop`` of the action: 0 leaves stops to the driver, 1 is the gentlest.
 
     A vehicle aims for its share of the first green that it can reach at the speed limit. Queues are ignored: the policy
     has to learn about them.
@@ -38,14 +40,15 @@ class Arrival(ActionTransform):
         return (observation,)
 
     def command(self, seen: tuple[Tensor, ...], raw: Tensor) -> tuple[Tensor, None]:
-        """Return shares of the limit before and behind the stop line, ``[*B, A, 2]``, of lateness ``[*B, A, 2]``."""
+        """Return shares of the limit before and behind the stop line, and of braking, ``[*B, A, D]``."""
         (observation,) = seen
         limit = self.seen(observation, "context_speed_limit_mps")
         free_s = -self.seen(observation, "stop_line_distance") / limit.clamp_min(1.0)
         arrival_s = self.arrival(observation, free_s, raw[..., 0])
         before = torch.where(free_s > 0.0, free_s / arrival_s.clamp_min(0.1), torch.ones_like(free_s))
         behind = 1.0 - (1.0 - self.slowest) * raw[..., 1]
-        return torch.stack([before, behind], -1).clamp(self.slowest, 1.0), None
+        speeds = torch.stack([before, behind], -1).clamp(self.slowest, 1.0)
+        return torch.cat([speeds, 1.0 - (1.0 - MIN_SHARE) * raw[..., 2:]], -1), None
 
     def arrival(self, observation: Tensor, free_s: Tensor, late: Tensor) -> Tensor:
         """Return in how many seconds vehicles should arrive, ``[*B, A]``.

@@ -60,4 +60,3 @@ def add_heights(text: str, spec: IntersectionSpec) -> str:
 
 def _points(shape: str) -> np.ndarray:
     return np.array([[float(value) for value in point.split(",")[:2]] for point in shape.split()])
-
