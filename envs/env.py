@@ -232,6 +232,28 @@ class EcoDrivingBase(EnvBase):
         begun = self._begin_where_ended()
         return tensordict, state if begun is None else begun
 
+    def scene(self, index: int = 0) -> Scene:
+        """Return the present state of an environment, on the twin and in this process whether or not it is emitted.
+
+        Raises:
+            IzooError: no episode has begun, or there is no such environment.
+        """
+        self.require_open()
+        return self.backend.scene(index)
+
+    @property
+    def road(self) -> RoadNet:
+        """The road net of the present episode, of the first environment."""
+        return self.scene().road
+
+    def render(self, *_: Any, index: int = 0, span_m: float = 120.0, size_px: int = 640, **__: Any) -> np.ndarray:
+        """Return a top view ``[size_px, size_px, 3]`` uint8 of an environment's present state; no screen is needed.
+
+        TorchRL's ``VideoRecorder`` gets its pictures from here through ``PixelRenderTransform``.
+        """
+        self.require_started("render")
+        return draw(self.scene(index), span_m=span_m, size_px=size_px)
+
     def close(self, *, raise_if_closed: bool = True) -> None:
         """End all simulations."""
         self.backend.close()
@@ -332,27 +354,6 @@ class EcoDrivingEnv(EcoDrivingBase):
             planned, planned_seed = self.schedule(number) if context is None else (context, 0)
             self.backend.begin({0: Play(planned, planned_seed if seed is None else seed, number)})
             return self._frame()
-
-    def scene(self) -> Scene:
-        """Return the present state, whether or not it is emitted: context, road, vehicles, signals, metrics.
-
-        Raises:
-            IzooError: no episode has begun.
-        """
-        return self.backend.scene()
-
-    @property
-    def road(self) -> RoadNet:
-        """The road net of the present episode."""
-        return self.scene().road
-
-    def render(self, *_: Any, span_m: float = 120.0, size_px: int = 640, **__: Any) -> np.ndarray:
-        """Return a top view ``[size_px, size_px, 3]`` uint8 of the present state; no screen is needed.
-
-        TorchRL's ``VideoRecorder`` gets its pictures from here through ``PixelRenderTransform``.
-        """
-        self.require_started("render")
-        return draw(self.scene(), span_m=span_m, size_px=size_px)
 
 
 class SideBySideEnv(EcoDrivingBase):

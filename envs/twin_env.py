@@ -22,9 +22,7 @@ from izoo.envs.config import EnvConfig
 from izoo.envs.env import Contexts, SideBySideEnv
 from izoo.envs.mdp.columns import Vehicle
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
-from izoo.envs.mdp.snapshot import Scene
 from izoo.envs.model_version import MODEL_VERSION
-from izoo.envs.render import draw
 from izoo.envs.twin.backend import TwinBackend
 from izoo.envs.twin.runtime.layout import STATE
 from izoo.errors import IzooError, check_whole
@@ -251,17 +249,3 @@ class TwinEnv(SideBySideEnv):
         plays = [play for play in self.backend.plays() for _ in range(n)]
         copies.backend.unpack(dict(enumerate(plays)), [packed for packed in self.backend.pack() for _ in range(n)])
         copies._look_ahead()
-
-    def scene(self, index: int = 0) -> Scene:
-        """Return the present state of an environment, whether or not it is emitted.
-
-        Raises:
-            IzooError: no episode has begun, or there is no such environment.
-        """
-        self.require_open()
-        return self.backend.scene(index)
-
-    def render(self, *_: Any, index: int = 0, span_m: float = 120.0, size_px: int = 640, **__: Any) -> np.ndarray:
-        """Return a top view ``[size_px, size_px, 3]`` uint8 of the present state of an environment."""
-        self.require_started("render")
-        return draw(self.scene(index), span_m=span_m, size_px=size_px)

@@ -22,9 +22,8 @@ from gymnasium import spaces
 from gymnasium.vector import AsyncVectorEnv
 
 from izoo.envs.config import MAX_WORKERS, STEP, EnvConfig
-from izoo.envs.mdp.frame import observation_names
 from izoo.envs.views.commands import Commands, action_space, read_action
-from izoo.envs.views.view_session import RENDER_MODES, ViewSession, render_modes
+from izoo.envs.views.view_session import RENDER_MODES, View, ViewSession
 from izoo.errors import IzooError, check_whole
 
 if TYPE_CHECKING:
@@ -39,7 +38,7 @@ WARN_AFTER = 20
 """Consecutive simulations without an ego after which a warning is given."""
 
 
-class _View(gym.Env[Observation, Any]):
+class _View(View, gym.Env[Observation, Any]):
     """Base of both views.
 
     Args:
@@ -62,21 +61,7 @@ class _View(gym.Env[Observation, Any]):
         simulator: str = "sumo",
     ) -> None:
         seed = int(np.random.SeedSequence().generate_state(1)[0])
-        self.session = ViewSession(contexts, config, seed, render_mode, in_process, simulator)
-        self.config, self.render_mode = self.session.config, render_mode
-        # Gymnasium reads all modes from the class, and checkers read the available ones from the instance.
-        self.metadata = {"render_modes": render_modes(), "render_fps": self.session.fps}
-        self.observation_names = observation_names(self.config)
-
-    def render(self) -> np.ndarray | None:  # type: ignore[override]
-        """Return a picture ``[640, 640, 3]`` uint8 with ``rgb_array``; ``None`` otherwise."""
-        if self.render_mode is None:
-            gym.logger.warn("render() needs a render mode; give gymnasium.make(..., render_mode='rgb_array').")
-        return self.session.render() if self.render_mode == "rgb_array" else None
-
-    def close(self) -> None:
-        """End the simulation."""
-        self.session.close()
+        self._open(ViewSession(contexts, config, seed, render_mode, in_process, simulator))
 
 
 class EcoDrivingJoint(_View[dict[str, np.ndarray]]):
