@@ -178,10 +178,15 @@ def as_schedule(contexts: Context | Sequence[Context] | ContextSource | Schedule
         return RandomSchedule(ContextList(contexts), seed)
     if callable(contexts):
         return contexts
-    of = f" of {type(contexts[0]).__name__}" if isinstance(contexts, Sequence) and not isinstance(contexts, str) else ""
     raise IzooError(
-        f"contexts is a {type(contexts).__name__}{of}; give a Context, a sequence of them, a source with "
-        "sample(generator), or a schedule that maps an episode number to (context, seed)."
+        f"contexts is a {type(contexts).__name__}"
+        + (
+            f" of {type(contexts[0]).__name__}"
+            if isinstance(contexts, Sequence) and not isinstance(contexts, str)
+            else ""
+        )
+        + "; give a Context, a sequence of them, a source with sample(generator), or a schedule that maps an episode "
+        "number to (context, seed)."
     )
 
 
