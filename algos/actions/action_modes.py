@@ -246,13 +246,8 @@ class AdviseAction(ActionMode):
     spread: float = 0.35
     ranges = (("depth", 0.01, 1.0), ("brake_mps2", 0.1, -ACTION_LOW_MPS2, "m/s^2"), *PointMass.ranges)
 
-    @property
-    def point_mass(self) -> PointMass:
-        """The point mass at the action 0."""
-        return PointMass(self.act_share, self.spread)
-
     def space(self, env: EnvConfig) -> ActionSpace:
-        return ActionSpace(-self.depth, self.depth, self.point_mass)
+        return ActionSpace(-self.depth, self.depth, PointMass(self.act_share, self.spread))
 
     def transform(self, env: EnvConfig) -> ActionTransform:
         from izoo.algos.actions.action_wrappers import SpeedCap
@@ -286,13 +281,9 @@ class ResidualAction(ActionMode):
         *PointMass.ranges,
     )
 
-    @property
-    def point_mass(self) -> PointMass:
-        """The point mass at the action 0."""
-        return PointMass(self.act_share, self.spread, two_sided=True)
-
     def space(self, env: EnvConfig) -> ActionSpace:
-        return ActionSpace(-self.half_width_mps2, self.half_width_mps2, self.point_mass)
+        still = PointMass(self.act_share, self.spread, two_sided=True)
+        return ActionSpace(-self.half_width_mps2, self.half_width_mps2, still)
 
     def transform(self, env: EnvConfig) -> ActionTransform:
         from izoo.algos.actions.residual import Correction, NominalDriver
