@@ -38,7 +38,7 @@ FLOORS = (
 """Rooms from the ground up; rooms that share a floor do not know each other."""
 ENV_FLOORS = (
     {"config", "tables", "mdp", "model_version"},
-    {"backend"},
+    {"backend", "simulation"},
     {"sumo", "twin"},
     {"specs", "frame_io", "frame_copies", "render", "env", "twin_env"},
     {"views"},
