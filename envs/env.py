@@ -357,7 +357,7 @@ class EcoDrivingEnv(EcoDrivingBase):
 
 
 class SideBySideEnv(EcoDrivingBase):
-    """``N`` intersections on a simulator that plays them in this process; batch size ``[N]``.
+    """``N`` intersections that a backend plays side by side; batch size ``[N]``.
 
     Args:
         num_envs: ``N``.
