@@ -35,21 +35,30 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session")
-def faults() -> Path:
-    """The folder of small inputs, each with one feature that real files have and that is easily misread."""
+def data() -> Path:
+    """The folder of the test data, which are no part of the project; without it the test is skipped."""
     root = os.environ.get("IZOO_TEST_DATA")
     if not root:
-        pytest.skip("IZOO_TEST_DATA is unset; it names the folder with the small faulty inputs")
-    return Path(root) / "faults"
+        pytest.skip("IZOO_TEST_DATA is unset; it names the folder with the test data")
+    return Path(root)
 
 
 @pytest.fixture(scope="session")
-def dataset() -> ContextList:
+def faults(data: Path) -> Path:
+    """The folder of small inputs, each with one feature that real files have and that is easily misread."""
+    return data / "faults"
+
+
+@pytest.fixture(scope="session")
+def published(data: Path) -> Path:
+    """The sample of the published dataset: 60 intersections of Salt Lake City."""
+    return data / "salt-lake-city-60"
+
+
+@pytest.fixture(scope="session")
+def dataset(published: Path) -> ContextList:
     """One context per approach of the published dataset's sample, with the default adoption of 1/3."""
-    root = os.environ.get("IZOO_TEST_DATA")
-    if not root:
-        pytest.skip("IZOO_TEST_DATA is unset; it names the folder with the published dataset's sample")
-    return load_dataset(Path(root) / "salt-lake-city-60")
+    return load_dataset(published)
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,6 @@ from izoo.evaluate import main
 from izoo.results.rollout import DRAIN_S
 from izoo.results.selection import choose_contexts
 from izoo.results.store import read_manifest, read_table
-from tests.networks.test_dataset import published  # noqa: F401
 
 TOY = ["contexts=pcg_easy", "env.horizon_s=90", "env.num_agents=16", "num_workers=0"]
 
@@ -72,7 +71,7 @@ def test_bad_options_are_one_sentence_and_exit_code_2(
 def test_contexts_that_changed_go_into_a_folder_of_their_own(
     tmp_path: Path,
     cache: Path,
-    published: Path,  # noqa: F811
+    published: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
