@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -56,11 +55,10 @@ def test_stock_torchrl_trains_with_every_loss(name: str) -> None:
     assert len(history) == 15
     assert history[0] < -2.0 and np.mean(history[-3:]) > -1.2, history
     source = (FOLDER / "stock_torchrl.py").read_text()
-    loop = next(
-        node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef) and node.name == "train"
-    )
+    nodes = list(ast.walk(ast.parse(source)))
+    loop = next(node for node in nodes if isinstance(node, ast.FunctionDef) and node.name == "train")
     assert loop.end_lineno is not None and loop.end_lineno - loop.lineno < 40
-    modules = {node.module for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ImportFrom)}
+    modules = {node.module for node in nodes if isinstance(node, ast.ImportFrom)}
     izoos = {name for name in modules if name and name.startswith("izoo")}
     assert izoos == {"izoo.algos.losses", "izoo.contexts.procedural", "izoo.envs"}
 
@@ -134,17 +132,13 @@ def test_own_policy(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("extract", [None, "osm/west_oakland.osm"])
-def test_own_city(extract: str | None, tmp_path: Path) -> None:
+def test_own_city(extract: str | None, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     pytest.importorskip("osmium")
     from izoo.docs.examples import own_city
 
-    data = os.environ.get("IZOO_TEST_DATA")
-    if extract is not None and not data:
-        pytest.skip("IZOO_TEST_DATA is unset")
-    file = None if extract is None else Path(data or "", extract)
-    table = own_city.main(
-        file, tmp_path / "town", horizon_s=125.0, seeds=(0,), num_workers=0, max_approaches=2, cache=tmp_path / "cache"
-    )
+    file = None if extract is None else request.getfixturevalue("data") / extract
+    sizes = {"horizon_s": 125.0, "seeds": (0,), "num_workers": 0, "max_approaches": 2}
+    table = own_city.main(file, tmp_path / "town", **sizes, cache=tmp_path / "cache")
     assert set(table["policy"]) == {"human", "uncommanded", "glide"} and len(table) == 6
     assert table["crossed"].sum() > 0 and (tmp_path / "town").is_dir()
     if extract is None:

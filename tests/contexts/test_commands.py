@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 from pathlib import Path
 
@@ -10,7 +11,6 @@ import pytest
 from izoo.cli import smoke_test
 from izoo.cli.contexts import CONTEXTS
 from izoo.contexts.cities import rebuilt as cities
-from izoo.contexts.source import ContextList
 from izoo.networks.dataset.intersections import load_dataset
 from izoo.networks.osm.store import save_cmdp
 
@@ -19,10 +19,9 @@ PNG = b"\x89PNG"
 
 
 @pytest.fixture
-def few(dataset: ContextList, tmp_path: Path) -> Path:
+def few(published: Path, tmp_path: Path) -> Path:
     """A folder with three of the measured intersections."""
-    root = Path(dataset[0].intersection.net_path or "").parent.parent
-    for folder in sorted(root.iterdir())[:3]:
+    for folder in sorted(path for path in published.iterdir() if path.is_dir())[:3]:
         shutil.copytree(folder, tmp_path / "few" / folder.name)
     return tmp_path / "few"
 
@@ -30,18 +29,11 @@ def few(dataset: ContextList, tmp_path: Path) -> Path:
 @pytest.fixture
 def town(tmp_path: Path) -> Path:
     """A folder like those built from OpenStreetMap, with two intersections."""
-    import dataclasses
-
-    specs = {
-        str(number): dataclasses.replace(cities.get("boston")[number], source="osm", city=None, signal_plan=None)
-        for number in (3, 4)
-    }
-    save_cmdp(
-        tmp_path / "town",
-        specs,
-        {key: {"streets": {"A": "Elm Street"}, "lonlat": [-122.0 + 0.001 * int(key), 47.0]} for key in specs},
-        {},
-    )
+    changes = {"source": "osm", "city": None, "signal_plan": None}
+    specs = {str(k): dataclasses.replace(cities.get("boston")[k], **changes) for k in (3, 4)}
+    streets = {"A": "Elm Street"}
+    said = {key: {"streets": streets, "lonlat": [-122.0 + 0.001 * int(key), 47.0]} for key in specs}
+    save_cmdp(tmp_path / "town", specs, said, {})
     return tmp_path / "town"
 
 

@@ -57,10 +57,8 @@ def test_names_that_no_table_can_hold_are_refused(name: str, tmp_path: Path) -> 
     """Of intersections, policies and tasks."""
     with pytest.raises(IzooError, match=r"the name of an intersection is .*one line of text"):
         dataclasses.replace(procedural_context().intersection, name=name)
-    with (
-        pytest.raises(IzooError, match="the name of a policy is"),
-        Store(tmp_path / "out").open({name: PolicyRecord()}),
-    ):
+    store = Store(tmp_path / "out")
+    with pytest.raises(IzooError, match="the name of a policy is"), store.open({name: PolicyRecord()}):
         pass
     if name:
         with pytest.raises(IzooError, match="the name of a task is"):

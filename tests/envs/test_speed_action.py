@@ -144,14 +144,15 @@ def test_drivers_that_command_accelerations_are_refused(name: str) -> None:
 
 
 def test_wrong_options_and_actions_are_refused() -> None:
-    with pytest.raises(IzooError, match="one on either side"):
-        EnvConfig(action="speed", action_parts=("speed", "speed_behind"))
-    with pytest.raises(IzooError, match=r"env\.action=speed"):
-        EnvConfig(action_parts=("speed_before", "speed_behind"))
-    with pytest.raises(IzooError, match="lane_change"):
-        EnvConfig(action="speed", lane_change=True)
-    with pytest.raises(IzooError, match=r"env\.action"):
-        EnvConfig(action="velocity")
+    wrong: list[tuple[str, dict[str, Any]]] = [
+        ("one on either side", {"action": "speed", "action_parts": ("speed", "speed_behind")}),
+        (r"env\.action=speed", {"action_parts": ("speed_before", "speed_behind")}),
+        ("lane_change", {"action": "speed", "lane_change": True}),
+        (r"env\.action", {"action": "velocity"}),
+    ]
+    for message, options in wrong:
+        with pytest.raises(IzooError, match=message):
+            EnvConfig(**options)
     with (
         contextlib.closing(EcoDrivingEnv(config=speeds(), worker=0, simulator="twin")) as env,
         pytest.raises(IzooError, match="shares of the speed limit"),

@@ -165,9 +165,6 @@ def test_memory_of_a_worker_does_not_grow() -> None:
     assert resident_kib[-1] / resident_kib[14] < 1.03
 
 
-# -- the end -----------------------------------------------------------------------------------------------------------
-
-
 def shared_segments(pids: set[int]) -> set[Path]:
     """The named shared memory that processes map."""
     lines = [line for pid in pids for line in Path(f"/proc/{pid}/maps").read_text().splitlines()]

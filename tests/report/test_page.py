@@ -17,9 +17,8 @@ from izoo.metrics.figures import FIGURES
 from izoo.report import tables
 from izoo.report.__main__ import main
 from izoo.report.report_data import collect
-from tests.report.made_tables import folder, table
+from tests.report.made_tables import SEVERAL, folder, table
 
-SEVERAL = {"ppo": (0.06, -1.0, 4), "glide": (0.03, 0.0, 1), "cap_0.6": (0.08, 5.0, 1)}
 HOSTILE = "<script>alert(1)</script>"
 METRICS = (
     "frames,seconds,return,emission_g_per_vehicle,throughput_veh_per_episode,co2_saved\n"

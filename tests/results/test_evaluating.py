@@ -42,18 +42,13 @@ def test_command_writes_its_results_and_goes_on_with_more_seeds(
     ("words", "message"),
     [
         (["policy=glied"], "Did you mean 'glide'"),
-        ([], "give one of run=RUN_DIR and policy=NAME"),
-        (["run=no/such/run"], "does not exist"),
         (["polciy=glide"], "Did you mean 'policy'"),
         (["policy=glide", "seeds=0"], "seeds is 0"),
         (["policy=glide", "algo=ppo"], "'algo'"),
         (["policy=glide", "env.neighbours=[follower]"], "leader_present"),
         (["policy=glide", "env.drain_s=0"], "evaluated episodes are played out"),
         (["policy=cap_2"], "is not a speed cap"),
-        (
-            ["policy=glide", "simulator=twin", "env.gui=true", "num_contexts=1"],
-            "the twin has no window; use simulator=",
-        ),
+        (["policy=glide", "simulator=twin", "env.gui=true", "num_contexts=1"], "the twin has no window; use sim"),
     ],
 )
 def test_bad_options_are_one_sentence_and_exit_code_2(
@@ -62,25 +57,18 @@ def test_bad_options_are_one_sentence_and_exit_code_2(
     monkeypatch.chdir(tmp_path)
     assert main([*words, *TOY]) == 2
     error = capsys.readouterr().err
-    assert message in error
-    assert "Traceback" not in error
-    assert error.count("\n") == 1
+    assert message in error and "Traceback" not in error and error.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
 
 def test_contexts_that_changed_go_into_a_folder_of_their_own(
-    tmp_path: Path,
-    cache: Path,
-    published: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, cache: Path, published: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As where a town is built again: the options are the same, its contexts are not."""
     monkeypatch.chdir(tmp_path)
     town = shutil.copytree(published / "106", tmp_path / "town" / "9")
     words = ["policy=glide", "contexts=dataset", "contexts.path=town", "contexts.approaches=all", f"cache={cache}"]
-    words += ["env.horizon_s=40", "env.num_agents=16", "num_workers=0", "seeds=1"]
-    words += ["num_contexts=1"]
+    words += ["env.horizon_s=40", "env.num_agents=16", "num_workers=0", "seeds=1", "num_contexts=1"]
     for inflow in ("1000\n", "2000\n"):
         (town / "inflows.txt").write_text(inflow * len((town / "inflows.txt").read_text().splitlines()))
         assert main(words) == 0
@@ -96,12 +84,8 @@ def test_options_of_a_runs_own_contexts_are_changed(
 ) -> None:
     """One by one, whatever these contexts are; the others stay as they were in training."""
     monkeypatch.chdir(tmp_path)
-    trained = [
-        "contexts=pcg",
-        "contexts.lane_count={1:0.25,2:0.75}",
-        "contexts.green_s=20..30",
-        "contexts.adoption=0.2",
-    ]
+    trained = ["contexts=pcg", "contexts.lane_count={1:0.25,2:0.75}", "contexts.green_s=20..30"]
+    trained += ["contexts.adoption=0.2"]
     short = ["env.horizon_s=30", "env.warmup_s=5", "algo.frames_per_batch=50", "total_frames=50"]
     short += ["evaluation.contexts=0", "num_workers=1", "collector=single", "run_dir=run"]
     assert train.main([*trained, *short]) == 0

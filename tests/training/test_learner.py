@@ -27,15 +27,14 @@ from tests.algos import frames
 CPU, OTHER = torch.device("cpu"), torch.device("cpu:0")
 """``cpu:0`` counts as another device, so that everything a GPU needs to be done is done, on a machine without one."""
 FEATURES = len(observation_names(TrainConfig().env))
+OFF: dict[str, Any] = {"hidden": (8,), "minibatch_rows": 16, "learning_starts": 1, "replay_rows": 200}
 CONFIGS = {
     "ppo": TrainConfig(algo=PPOConfig(hidden=(8,), minibatch_rows=16)),
     "mappo": TrainConfig(algo=MAPPOConfig(hidden=(8, 8), minibatch_rows=16)),
     "gcrl": TrainConfig(algo=GCRLConfig(hidden=(8,), minibatch_rows=16)),
-    "ddpg": TrainConfig(algo=DDPGConfig(hidden=(8,), minibatch_rows=16, learning_starts=1, replay_rows=200)),
-    "td3": TrainConfig(algo=TD3Config(hidden=(8,), minibatch_rows=16, learning_starts=1, replay_rows=200)),
-    "prioritised": TrainConfig(
-        algo=DDPGConfig(hidden=(8,), minibatch_rows=16, learning_starts=1, replay_rows=200, priority_alpha=0.6)
-    ),
+    "ddpg": TrainConfig(algo=DDPGConfig(**OFF)),
+    "td3": TrainConfig(algo=TD3Config(**OFF)),
+    "prioritised": TrainConfig(algo=DDPGConfig(**OFF, priority_alpha=0.6)),
     "residual": TrainConfig(algo=PPOConfig(hidden=(8,), minibatch_rows=16), action=ResidualAction()),
 }
 

@@ -69,13 +69,8 @@ for mode in ("token", "disabled"):
 
 def run(command: str, words: list[str], address: str) -> None:
     """Run a command of izoo apart, as a driver of the cluster."""
-    done = subprocess.run(
-        [sys.executable, "-m", command, *words],
-        env={**os.environ, "RAY_ADDRESS": address},
-        capture_output=True,
-        text=True,
-        timeout=200,
-    )
+    told, command_line = {**os.environ, "RAY_ADDRESS": address}, [sys.executable, "-m", command, *words]
+    done = subprocess.run(command_line, env=told, capture_output=True, text=True, timeout=200)
     assert done.returncode == 0, done.stderr
 
 

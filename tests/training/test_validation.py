@@ -80,9 +80,8 @@ def test_six_intersections_or_more_give_intervals(tmp_path: Path) -> None:
 def test_validation_changes_nothing_in_training(run_dir: Path, tmp_path: Path) -> None:
     words = [*TOY, "collector=single", "validation.every_batches=0", "total_frames=1000"]
     assert train.main([*words, f"run_dir={tmp_path / 'run'}"]) == 0
-    with_it, without = (
-        run_folder.load_algorithm(folder)[0].state_dict()["policy"] for folder in (run_dir, tmp_path / "run")
-    )
+    folders = run_dir, tmp_path / "run"
+    with_it, without = (run_folder.load_algorithm(folder)[0].state_dict()["policy"] for folder in folders)
     assert all(torch.equal(with_it[key], without[key]) for key in with_it)
     assert not (tmp_path / "run" / validation.VALIDATION_FILE).exists()
     with pytest.raises(IzooError, match="has no best checkpoint"):
