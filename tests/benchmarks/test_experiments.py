@@ -33,12 +33,6 @@ def made(name: str, part: str, folder: Path) -> PartRun:
     return PartRun(experiment, part, folder, CampaignConfig(dataset=dataset))
 
 
-def written(folder: Path, **content: object) -> str:
-    path = folder / "mine.yaml"
-    path.write_text(yaml.safe_dump(content))
-    return str(path)
-
-
 @pytest.mark.parametrize(("name", "part"), [(name, part) for name in shipped() for part in parts(name)])
 def test_everything_that_ships_can_be_trained_and_played(name: str, part: str, tmp_path: Path) -> None:
     """Options compose, environments are of one length, and contexts of the training are none of the test."""
@@ -113,11 +107,10 @@ def test_entries_keep_their_own_environments(tmp_path: Path) -> None:
     ],
 )
 def test_what_a_file_gets_wrong_is_one_sentence(content: dict, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(yaml.safe_dump(content))
     with pytest.raises(IzooError, match=message):
-        PartRun(read_experiment(written(tmp_path, **content)), "a", tmp_path, CampaignConfig())
-
-
-def test_an_experiment_that_is_not_there_is_said() -> None:
+        PartRun(read_experiment(str(path)), "a", tmp_path, CampaignConfig())
     with pytest.raises(IzooError, match=r"Did you mean 'reference'\?.* Or name a YAML file"):
         read_experiment("refrence")
 

@@ -53,10 +53,9 @@ def test_a_trial_foresees_what_happens() -> None:
 def test_the_planner_burns_less_than_uncommanded_cvs(tmp_path: Path) -> None:
     config = options()
     plays = [Play(name, 0, BUSY, seed) for name in ("uncommanded", "planner") for seed in (3, 4)]
-    own = {"planner": planner.Planning(config)}
-    played = rollout(
-        plays, own, planner.settings(config), simulator="twin", workers=1, record=("team_reward",), cache=tmp_path
-    )
+    own, settings = {"planner": planner.Planning(config)}, planner.settings(config)
+    options_ = {"simulator": "twin", "workers": 1, "record": ("team_reward",), "cache": tmp_path}
+    played = rollout(plays, own, settings, **options_)
     table = make_table([row for each in played for row in each.rows])
     sums = table.groupby("policy")[["cohort", "cohort_left", "cohort_region_co2_g", "cohort_blocked_co2_g"]].sum()
     assert (sums["cohort"] == sums["cohort_left"]).all() and sums["cohort"].nunique() == 1

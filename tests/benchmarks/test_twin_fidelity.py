@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 from pathlib import Path
@@ -76,9 +77,8 @@ def test_differences_beyond_sumos_own_spread_are_counted() -> None:
     assert row["co2_own"] == pytest.approx(0.04 / 3)
     itself = twin_fidelity.by_group(own).iloc[0]
     assert itself["approaches"] == 6 and itself["co2_mean_abs"] == pytest.approx(0.04 / 3)
-    without = twin_fidelity.by_group(
-        twin_fidelity.with_spread(twin_fidelity.approaches(sumo, played), twin_fidelity.own_spread(sumo, []))
-    ).iloc[0]
+    apart, none = twin_fidelity.approaches(sumo, played), twin_fidelity.own_spread(sumo, [])
+    without = twin_fidelity.by_group(twin_fidelity.with_spread(apart, none)).iloc[0]
     assert without["co2_beyond"] == without["co2_wide"] == 2 and np.isnan(without["co2_own"])
 
 
@@ -125,11 +125,8 @@ def watched(policy: str, context: Context, config: EnvConfig) -> list[Watched]:
     """An episode in SUMO and on the twin."""
     found = []
     for simulator in ("sumo", "twin"):
-        env = EcoDrivingEnv(config=config, simulator=simulator)
-        try:
+        with contextlib.closing(EcoDrivingEnv(config=config, simulator=simulator)) as env:
             found.append(Watched(env, as_policy(policy, config).policy, context, 1))
-        finally:
-            env.close()
     return found
 
 

@@ -88,12 +88,8 @@ def test_chains_that_do_not_move_have_a_result_that_did_not_converge() -> None:
     with np.errstate(invalid="ignore", divide="ignore"):
         quantities = tuple(estimating._quantity("median T_s", values) for values in (stuck, np.ones((4, 40))))
     assert not any(quantity.converged for quantity in quantities)
-    result: Any = SimpleNamespace(
-        data=SimpleNamespace(drivers=("a",), minutes=1.0, step_s=0.5),
-        diverging=160,
-        predictions=SimpleNamespace(coverage={0.5: 0.5}),
-        quantities=quantities[1:],
-    )
+    data, predictions = SimpleNamespace(drivers=("a",), minutes=1.0, step_s=0.5), SimpleNamespace(coverage={0.5: 0.5})
+    result: Any = SimpleNamespace(data=data, diverging=160, predictions=predictions, quantities=quantities[1:])
     content = estimating._provenance(result, SamplerConfig())
     json.dumps(content, allow_nan=False)
     assert content["quantities"]["median T_s"]["ess"] is None
@@ -116,9 +112,7 @@ def test_bad_input_is_a_sentence_and_exit_code_2(
     words = [word.format(tmp_path, pairs) for word in words]
     assert calibrate.main(["calibrate", *words]) == 2
     error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert re.search(message, error)
-    assert list(tmp_path.iterdir()) == []
+    assert error.count("\n") == 1 and re.search(message, error) and list(tmp_path.iterdir()) == []
 
 
 def test_without_the_extra_it_says_what_to_install(

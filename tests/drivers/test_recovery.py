@@ -52,9 +52,8 @@ def test_populations_are_fixed_by_their_number() -> None:
         assert 0.1 <= true[f"spread {name}"] <= 0.25
     assert all(-1.0 < value < 1.0 for name, value in true.items() if name.startswith("correlation"))
     covariance = np.array(one.log_cov[0])
-    assert true["correlation T_s alpha_mps2"] == pytest.approx(
-        covariance[2, 3] / np.sqrt(covariance[2, 2] * covariance[3, 3])
-    )
+    expected = covariance[2, 3] / np.sqrt(covariance[2, 2] * covariance[3, 3])
+    assert true["correlation T_s alpha_mps2"] == pytest.approx(expected)
 
 
 def test_the_summary_counts_intervals_and_averages_errors() -> None:
