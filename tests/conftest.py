@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from izoo.envs.config import EnvConfig
 from izoo.networks.dataset.intersections import load_dataset
 from izoo.networks.net.net_cache import CACHE_ENV
 
+Refused = Callable[..., str]
 SHORT = EnvConfig(horizon_s=120.0, warmup_s=20.0, drain_s=60.0, num_agents=32)
 LONGEST = (
     # These two compile the twin and the environment on SUMO where they are not compiled yet: each in its own process.
@@ -82,3 +83,24 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv(CACHE_ENV, str(folder))
         patch.setenv("XDG_DATA_HOME", str(folder / "data"))
         yield
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, empty."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Refused:
+    """``refused(main, words, message)``: a command answers with one sentence, and no traceback; return the sentence."""
+
+    def check(main: Callable[[list[str]], int], words: Sequence[str], message: str = "", code: int = 2) -> str:
+        capsys.readouterr()
+        assert main(list(words)) == code
+        error = capsys.readouterr().err
+        assert message in error and "Traceback" not in error and error.count("\n") == 1, error
+        return error
+
+    return check

@@ -23,6 +23,7 @@ from izoo.errors import IzooError
 from izoo.training import dataset
 from izoo.training.shard_writer import MANIFEST, ShardWriter
 from izoo.training.shards import Shard, pack
+from tests.conftest import Refused
 
 TOY = ["contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "env.emit=[context]"]
 
@@ -74,9 +75,8 @@ def test_the_size_is_said_before_anything_is_written(tmp_path: Path, capsys: pyt
     assert re.search(said, capsys.readouterr().out)
 
 
-def test_an_occupied_folder_is_refused(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert collect.main([*TOY, "frames=10", f"out={data}"]) == 2
-    assert "not empty" in capsys.readouterr().err
+def test_an_occupied_folder_is_refused(data: Path, refused: Refused) -> None:
+    refused(collect.main, [*TOY, "frames=10", f"out={data}"], "not empty")
     assert collect.load(data).shape == (300,)
 
 
@@ -145,13 +145,11 @@ def test_slices_are_of_one_episode_of_one_environment(tmp_path: Path) -> None:
     ],
 )
 def test_bad_input_leaves_nothing_behind(
-    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, here: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    assert collect.main(words) == 2
-    assert message in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
+    refused(collect.main, words, message)
+    assert list(here.iterdir()) == []
 
 
 def _manifest(**entries: Any) -> Callable[[Path], object]:
@@ -189,7 +187,7 @@ def test_a_data_set_that_is_not_whole_is_refused(
 
 @pytest.mark.slow
 def test_a_full_disk_is_said_and_leaves_what_was_finished(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     """Room is asked for before a mapping is written to, which the system would answer with a signal."""
     out = tmp_path / "data"
@@ -200,8 +198,7 @@ def test_a_full_disk_is_said_and_leaves_what_was_finished(
 
     monkeypatch.setattr(os, "posix_fallocate", fill, raising=False)
     words = ["policy=random", "frames=1000", "shard_frames=100", "env.num_agents=16", "env.horizon_s=60", f"out={out}"]
-    assert collect.main(words) == 1
-    assert "Make room, then collect the rest into another folder" in capsys.readouterr().err
+    refused(collect.main, words, "Make room, then collect the rest into another folder", code=1)
     assert len(collect.load(out)) == 200 and not list(out.glob(".shard*"))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.conftest import Refused
 from tests.envs.worlds import crossing, short
 
 FOLDER = Path(__file__).resolve().parent.parent / "izoo" / "docs" / "examples"
@@ -155,20 +156,17 @@ def test_offline_data(tmp_path: Path) -> None:
     assert {"clone", "glide"} <= summary["entries"].keys()
 
 
-def test_adoption_refuses_what_it_cannot_use_before_anything_is_played(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_adoption_refuses_what_it_cannot_use_before_anything_is_played(tmp_path: Path, refused: Refused) -> None:
     from izoo.docs.examples import adoption
 
-    assert adoption.command([str(tmp_path / "nowhere"), str(tmp_path / "out")]) == 2
-    assert "nowhere does not exist" in capsys.readouterr().err
-    assert adoption.command([str(tmp_path), str(tmp_path / "out"), "glide", "nonsense"]) == 2
-    assert "unknown policy 'nonsense'" in capsys.readouterr().err
-    assert adoption.command([str(tmp_path), str(tmp_path / "out"), f"ppo=glide,{tmp_path / 'gone.pt'}"]) == 2
-    assert "gone.pt" in capsys.readouterr().err
-    for words in (["a/b=glide"], ["=glide"], ["glide", "glide"], ["glide", "glide=uncommanded"]):
-        assert adoption.command([str(tmp_path), str(tmp_path / "out"), *words]) == 2, words
-        assert "name" in capsys.readouterr().err
+    for folder, policies, said in (
+        (tmp_path / "nowhere", (), "nowhere does not exist"),
+        (tmp_path, ("glide", "nonsense"), "unknown policy 'nonsense'"),
+        (tmp_path, (f"ppo=glide,{tmp_path / 'gone.pt'}",), "gone.pt"),
+        *((tmp_path, words, "name") for words in (("a/b=glide",), ("=glide",), ("glide", "glide=uncommanded"))),
+        (tmp_path, ("glide", "glide"), "name"),
+    ):
+        refused(adoption.command, [str(folder), str(tmp_path / "out"), *policies], said)
     assert not (tmp_path / "out").exists()
 
 

@@ -27,6 +27,7 @@ from izoo.results.policies import as_policy
 from izoo.results.rows_file import RowsFile
 from izoo.results.schema import COLUMNS, make_table
 from izoo.results.selection import EpisodeSeeds
+from tests.conftest import Refused
 from tests.metrics.tables import episode_row
 from tests.networks.test_dataset import write
 
@@ -170,10 +171,8 @@ def test_bad_options(options: dict[str, tuple[object, ...]], said: str) -> None:
         FidelityConfig(**options)  # type: ignore[arg-type]
 
 
-def test_a_window_is_refused_before_anything_is_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert twin.main(["contexts=pcg_easy", "env.gui=true", f"out={tmp_path}/out"]) == 2
-    error = capsys.readouterr().err
-    assert "the twin has no window" in error and error.count("\n") == 1
+def test_a_window_is_refused_before_anything_is_played(tmp_path: Path, refused: Refused) -> None:
+    refused(twin.main, ["contexts=pcg_easy", "env.gui=true", f"out={tmp_path}/out"], "the twin has no window")
     assert not list(tmp_path.iterdir())
 
 
@@ -193,7 +192,7 @@ def test_a_net_that_the_twin_cannot_play_is_refused_before_anything_is_played(
 
 
 @pytest.mark.slow
-def test_the_command_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused) -> None:
     words = ["contexts=pcg_easy", "num_contexts=1", "seeds=2", "env.horizon_s=150", "env.warmup_s=30"]
     words += ["adoptions=[0.5]", "demand=[given]", "policies=[uncommanded]", "exact=[uncommanded]", "num_workers=0"]
     out = tmp_path / "out"
@@ -217,7 +216,7 @@ def test_the_command_goes_on_where_it_was(tmp_path: Path, capsys: pytest.Capture
     assert "\u2026" not in shown, "the tables fit 80 columns"
     assert all(f"\n{number}. " in shown for number in range(1, 6)) and "uncommanded" in shown
     assert shown.rstrip().splitlines()[-1].startswith("CO2 per vehicle on the twin is ")
-    assert twin.main([*words, "env.horizon_s=151"]) == 2 and "horizon_s 150.0 -> 151.0" in capsys.readouterr().err
+    refused(twin.main, [*words, "env.horizon_s=151"], "horizon_s 150.0 -> 151.0")
 
 
 def test_policies_of_the_zoo_are_played_in_their_own_environment() -> None:

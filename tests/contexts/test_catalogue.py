@@ -52,12 +52,6 @@ def test_get_builds_the_scenario():
     assert catalogue.get(654321).content_hash == catalogue.get(654321).content_hash
 
 
-@pytest.mark.parametrize("context_id", [-1, SIZE, 1.5, "3", True])
-def test_ids_out_of_range_are_refused(context_id):
-    with pytest.raises(IzooError, match="1306719"):
-        describe(context_id)
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -72,6 +66,16 @@ def test_ids_out_of_range_are_refused(context_id):
 def test_unknown_scenarios_are_refused(changes, message):
     with pytest.raises(IzooError, match=message):
         find_id(**{**GOLDEN[0]._asdict(), **changes})
+
+
+def test_ids_out_of_range_and_filters_that_leave_nothing_are_refused():
+    for context_id in (-1, SIZE, 1.5, "3", True):
+        with pytest.raises(IzooError, match="1306719"):
+            describe(context_id)
+    with pytest.raises(IzooError, match="no scenario is selected"):
+        Scenarios(season=[])
+    with pytest.raises(IzooError, match=r"\[0, 1\]"):
+        Scenarios(adoption=1.2)
 
 
 def test_filters_match_a_plain_search():
@@ -124,13 +128,6 @@ def test_shares_may_be_numbers_of_any_kind_and_nothing_else():
     for share in ("0.5", ["x"], [None]):
         with pytest.raises(IzooError, match=r"adoption is .*; it must be a number"):
             Scenarios(city="atlanta", adoption=share)
-
-
-def test_empty_filters_are_refused():
-    with pytest.raises(IzooError, match="no scenario is selected"):
-        Scenarios(season=[])
-    with pytest.raises(IzooError, match=r"\[0, 1\]"):
-        Scenarios(adoption=1.2)
 
 
 def test_sampling_and_pickling():

@@ -20,6 +20,7 @@ from izoo.contexts.population import read_population
 from izoo.drivers import estimate as estimating
 from izoo.drivers.mcmc import SamplerConfig
 from izoo.errors import IzooError
+from tests.conftest import Refused
 from tests.drivers.platoons import MEDIANS, SPREAD, platoon_table
 
 
@@ -107,20 +108,18 @@ def test_chains_that_do_not_move_have_a_result_that_did_not_converge() -> None:
     ],
 )
 def test_bad_input_is_a_sentence_and_exit_code_2(
-    words: list[str], message: str, pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, pairs: Path, tmp_path: Path, refused: Refused
 ) -> None:
-    words = [word.format(tmp_path, pairs) for word in words]
-    assert calibrate.main(["calibrate", *words]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and re.search(message, error) and list(tmp_path.iterdir()) == []
+    error = refused(calibrate.main, ["calibrate", *(word.format(tmp_path, pairs) for word in words)])
+    assert re.search(message, error) and list(tmp_path.iterdir()) == []
 
 
 def test_without_the_extra_it_says_what_to_install(
-    pairs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    pairs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     monkeypatch.setattr(calibrate, "PACKAGES", ("no_such_package",))
-    assert calibrate.main(["calibrate", str(pairs), "--out", str(tmp_path / "p.json")]) == 2
-    assert "pip install 'izoo[calibrate]'" in capsys.readouterr().err
+    words = ["calibrate", str(pairs), "--out", str(tmp_path / "p.json")]
+    refused(calibrate.main, words, "pip install 'izoo[calibrate]'")
 
 
 @pytest.mark.parametrize(

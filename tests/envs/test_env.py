@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import subprocess
-import sys
 from typing import Any
 
 import pytest
@@ -288,13 +286,6 @@ def test_a_forgotten_environment_frees_libsumo() -> None:
     env = EcoDrivingEnv(crossing(), config=short())
     with contextlib.closing(env):
         env.reset()
-
-
-def test_worker_processes_do_not_import_torch() -> None:
-    workers = "izoo.envs.sumo.simulator, izoo.envs.sumo.worker, izoo.envs.twin.runtime.preparers"
-    program = f"import {workers}, sys; print('torch' in sys.modules)"
-    output = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
-    assert output.stdout.strip() == "False"
 
 
 def test_observed_features_have_one_order(make: Make) -> None:

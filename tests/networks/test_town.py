@@ -22,6 +22,7 @@ from izoo.networks.road import read_road
 from izoo.networks.signals.delay import peak_movements
 from izoo.results.store import context_from_dict
 from izoo.traffic.sampling import sample_traffic
+from tests.conftest import Refused
 from tests.networks.test_osm import Map, approach, crossing
 from tests.networks.test_osm import build as osm_build
 
@@ -115,14 +116,14 @@ def test_files_of_plans_that_do_not_fit(tmp_path: Path) -> None:
         build(tmp_path, signals=tmp_path / "none.json")
 
 
-def test_a_build_never_replaces_what_was_edited(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_build_never_replaces_what_was_edited(tmp_path: Path, refused: Refused) -> None:
     build(tmp_path)
     build(tmp_path)
     file = tmp_path / "town" / "1.json"
     edit(file, PLAN)
     before = file.read_bytes()
-    assert CONTEXTS.main(["build", "--osm", str(tmp_path / "map.osm"), str(tmp_path / "town")]) == 2
-    assert "1.json has been edited since it was built" in capsys.readouterr().err
+    words = ["build", "--osm", str(tmp_path / "map.osm"), str(tmp_path / "town")]
+    refused(CONTEXTS.main, words, "1.json has been edited since it was built")
     assert file.read_bytes() == before
     file.unlink()
     build(tmp_path)

@@ -20,6 +20,7 @@ from izoo.metrics.summary import summarise
 from izoo.report import leaderboard
 from izoo.report.leaderboard import board, check, content_hash, make_entry, merge, read_entry, unpacked, write_entry
 from izoo.results.store import read_table
+from tests.conftest import Refused
 from tests.report.made_tables import PPO, SEVERAL, folder, table
 
 
@@ -156,12 +157,10 @@ def _column(name: str, values: Any) -> Any:
         (_column("crossed", {"values": ["a"], "index": [0] * 72}), "rows/crossed: could not convert"),
     ],
 )
-def test_bad_files_are_refused_in_one_sentence(change: Any, message: str, tmp_path: Path, capsys: Any) -> None:
+def test_bad_files_are_refused_in_one_sentence(change: Any, message: str, tmp_path: Path, refused: Refused) -> None:
     path = tmp_path / "bad.json"
     path.write_text(json.dumps(sealed(change(content()))))
-    assert command.main(["merge", str(path), "--out", str(tmp_path / "board.json")]) == 2
-    error = capsys.readouterr().err
-    assert message in error and error.count("\n") == 1 and "bad.json" in error
+    assert "bad.json" in refused(command.main, ["merge", str(path), "--out", str(tmp_path / "board.json")], message)
     assert not (tmp_path / "board.json").exists()
 
 

@@ -125,15 +125,12 @@ def test_what_cannot_be_played_again_is_said(evaluation: Path, tmp_path: Path, c
         played(changed(evaluation, tmp_path, **changes))
 
 
-def test_a_run_whose_algorithm_is_code_is_not_imported(
-    evaluation: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "evil.py").write_text("open('ran', 'w').close()\n")
-    folder = changed(evaluation, tmp_path, source="run/checkpoints/step-000000000001.pt")
+def test_a_run_whose_algorithm_is_code_is_not_imported(evaluation: Path, here: Path) -> None:
+    (here / "evil.py").write_text("open('ran', 'w').close()\n")
+    folder = changed(evaluation, here, source="run/checkpoints/step-000000000001.pt")
     (folder / "run" / "checkpoints").mkdir(parents=True)
     (folder / "run" / "checkpoints" / "step-000000000001.pt").touch()
     (folder / "run" / run_folder.CONFIG_FILE).write_text("algo: {name: 'evil:Thing'}\n")
     with pytest.raises(IzooError, match="of the code evil:Thing; imports=true allows to import it"):
         played(folder)
-    assert not (tmp_path / "ran").exists()
+    assert not (here / "ran").exists()

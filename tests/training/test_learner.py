@@ -23,6 +23,7 @@ from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.training.learner import Learner, learner_device, to_learner
 from tests.algos import frames
+from tests.conftest import Refused
 
 CPU, OTHER = torch.device("cpu"), torch.device("cpu:0")
 """``cpu:0`` counts as another device, so that everything a GPU needs to be done is done, on a machine without one."""
@@ -132,9 +133,7 @@ def test_batches_cross_whole_but_for_observations_of_empty_slots() -> None:
         assert torch.equal(moved.get((*place, "agents", "observation")), seen * mask.unsqueeze(-1))
 
 
-def test_a_missing_gpu_is_refused(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_missing_gpu_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, refused: Refused) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(IzooError, match="PyTorch finds no GPU"):
         learner_device("cuda")
@@ -143,6 +142,5 @@ def test_a_missing_gpu_is_refused(
     assert learner_device("auto") == torch.device("cuda")
     monkeypatch.undo()
     if not torch.cuda.is_available():
-        assert train.main(["device=cuda", f"run_dir={tmp_path / 'run'}"]) == 2
-        assert "choose device=cpu" in capsys.readouterr().err
+        refused(train.main, ["device=cuda", f"run_dir={tmp_path / 'run'}"], "choose device=cpu")
         assert not (tmp_path / "run").exists()

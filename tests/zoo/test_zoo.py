@@ -34,6 +34,7 @@ from izoo.results.policies import as_policy, weights_hash
 from izoo.results.store import read_manifest
 from izoo.training import run_folder
 from izoo.zoo import catalog
+from tests.conftest import Refused
 from tests.report.made_tables import folder, table
 
 ENV = EnvConfig(horizon_s=75.0, hold_s=3.0, emit=())
@@ -69,19 +70,15 @@ def test_one_changed_byte_is_noticed(written: Path) -> None:
         zoo.read(written)
 
 
-def test_a_file_cannot_name_code(
-    written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "evil.py").write_text("open('ran', 'w').close()\nclass Thing: ...\n")
+def test_a_file_cannot_name_code(written: Path, here: Path, refused: Refused) -> None:
+    (here / "evil.py").write_text("open('ran', 'w').close()\nclass Thing: ...\n")
     state = torch.load(written, weights_only=True)
     state["options"]["algo"]["name"] = "evil:Thing"
     torch.save(state, written)
     with pytest.raises(IzooError, match="a policy of algo=evil:Thing"):
         zoo.read(written)
-    assert evaluate.main([f"policy={written}", "contexts=pcg", "out=out"]) == 2
-    assert "a policy of algo=evil:Thing" in capsys.readouterr().err
-    assert not (tmp_path / "ran").exists() and not (tmp_path / "out").exists()
+    refused(evaluate.main, [f"policy={written}", "contexts=pcg", "out=out"], "a policy of algo=evil:Thing")
+    assert not (here / "ran").exists() and not (here / "out").exists()
 
 
 def test_every_shipped_policy_loads_and_has_its_card() -> None:
@@ -118,7 +115,7 @@ def exported(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_run_is_exported_with_a_card_and_plays_as_it_did(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused
 ) -> None:
     out = tmp_path / "mine.pt"
     assert ZOO.main(["export", str(run), "--out", str(out)]) == 0
@@ -132,11 +129,10 @@ def test_a_run_is_exported_with_a_card_and_plays_as_it_did(
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
         acted = [policy(batch.clone())["agents", "action"] for policy in (there, trained.policy)]
     assert torch.equal(*acted)
-    assert ZOO.main(["export", str(run), "--out", str(out)]) == 2
-    assert "exists already" in capsys.readouterr().err
+    refused(ZOO.main, ["export", str(run), "--out", str(out)], "exists already")
     words = ["export", str(run), "--out", str(tmp_path / "other.pt"), "--evaluation", str(tmp_path)]
-    assert ZOO.main(words) == 2 and not (tmp_path / "other.pt").exists()
-    assert "is not a results folder" in capsys.readouterr().err
+    refused(ZOO.main, words, "is not a results folder")
+    assert not (tmp_path / "other.pt").exists()
     results = folder(tmp_path / "results", table({"mine": (0.06, -1.0, 1)}))
     assert ZOO.main([*words[:-1], str(results)]) == 0
     card = (tmp_path / "other.md").read_text()
@@ -208,7 +204,7 @@ def test_an_exported_policy_collects(run: Path, exported: Path, tmp_path: Path) 
     assert collect.main([f"policy={newest}", *words, "env.hold_s=2", f"out={tmp_path / 'checkpoint'}"]) == 0
 
 
-def test_other_files_are_refused_in_a_sentence(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_other_files_are_refused_in_a_sentence(run: Path, tmp_path: Path, refused: Refused) -> None:
     torch.save({"weights": torch.zeros(3)}, tmp_path / "foreign.pt")
     (tmp_path / "text.pt").write_text("policy")
     (newest,) = (run / "checkpoints").glob("step-*.pt")
@@ -219,9 +215,8 @@ def test_other_files_are_refused_in_a_sentence(run: Path, tmp_path: Path, capsys
         newest: "is a checkpoint of a run; evaluate it with python -m izoo.evaluate run=",
     }
     for path, said in files.items():
-        assert evaluate.main([f"policy={path}", "contexts=pcg", f"out={tmp_path / 'out'}"]) == 2
-        error = capsys.readouterr().err
-        assert said in error and error.count("\n") == 1 and not (tmp_path / "out").exists()
+        refused(evaluate.main, [f"policy={path}", "contexts=pcg", f"out={tmp_path / 'out'}"], said)
+        assert not (tmp_path / "out").exists()
 
 
 HELD = {"busy_lane_arrive": 103.8793, "busy_lane_imitation": 105.3357, "busy_lane_search": 103.3743}
