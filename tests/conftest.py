@@ -1,7 +1,5 @@
 """Fixtures that several rooms share, and the order of the tests."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path

@@ -3,8 +3,6 @@
 Imports inside functions count as well. Parts of names that are written as text, as commands name what they run, do not.
 """
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

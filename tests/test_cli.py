@@ -1,7 +1,5 @@
 """The command line: options, choices, help and sweeps; whatever a user gets wrong is one sentence and exit code 2."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import io

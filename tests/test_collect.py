@@ -1,7 +1,5 @@
 """The collect command end to end at toy size, on real SUMO."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

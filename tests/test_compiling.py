@@ -1,7 +1,5 @@
 """Compiled code: found only for the sources that it was compiled from, and compiled by one process."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What a command says about the time it still needs, and what becomes of it where nothing more can be said."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import subprocess

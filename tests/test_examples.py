@@ -1,7 +1,5 @@
 """Every example of the documentation runs, at toy size."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files that are whole or absent, folders that one process uses, and reasons in words that are true."""
 
-from __future__ import annotations
-
 import gzip
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The wheel holds everything and nothing else, and the constraints cover what it needs."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -3,8 +3,6 @@
 The algorithm and the contexts are those that the page on extending izoo shows.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import sys

@@ -1,7 +1,5 @@
 """The train command end to end at toy size, on real SUMO."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import os

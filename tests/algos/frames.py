@@ -1,7 +1,5 @@
 """Small batches and observations, and what tests of several algorithms do with them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -1,7 +1,5 @@
 """Advice and corrections: what is stored, what is learned from, and what they stand for."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

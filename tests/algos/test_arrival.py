@@ -1,7 +1,5 @@
 """Actions that say when to arrive: which speeds they stand for, and that learners learn from what they said."""
 
-from __future__ import annotations
-
 import contextlib
 from typing import Any
 

@@ -1,7 +1,5 @@
 """CMA-ES over linear policies: who plays what, what is learned, and that it goes on where it stopped."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

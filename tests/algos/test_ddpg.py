@@ -1,7 +1,5 @@
 """DDPG: transitions, targets and losses against hand computations, and exploration."""
 
-from __future__ import annotations
-
 import copy
 
 import pytest

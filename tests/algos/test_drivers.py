@@ -1,7 +1,5 @@
 """Scripted drivers write what an environment reads, and glide gives the advice that a hand calculation gives."""
 
-from __future__ import annotations
-
 from multiprocessing.reduction import ForkingPickler
 
 import pytest

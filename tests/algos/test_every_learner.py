@@ -1,7 +1,5 @@
 """What holds of every learner: empty slots do not count, nor does their order; states restore the very next update."""
 
-from __future__ import annotations
-
 import copy
 import io
 import itertools

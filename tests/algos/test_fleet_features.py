@@ -1,7 +1,5 @@
 """MAPPO's critic over all vehicles: the picture by hand, what it changes, and a real run."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 

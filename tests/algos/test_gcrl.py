@@ -1,7 +1,5 @@
 """Graph RL: the graph and its attention by hand, how far information travels, and a real run."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """The search over glide's settings: its start, the two kinds of roads, who tells whom, and what is refused."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

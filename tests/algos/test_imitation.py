@@ -1,7 +1,5 @@
 """Learning that begins by imitating glide: what is imitated, for how long, and what holds the policy afterwards."""
 
-from __future__ import annotations
-
 import copy
 import math
 

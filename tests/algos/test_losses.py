@@ -1,7 +1,5 @@
 """The losses alone: stock TorchRL trains with each, and padding, slots' order and masks mean what they say."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict

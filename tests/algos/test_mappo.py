@@ -1,7 +1,5 @@
 """MAPPO's critic: the attention by hand, who sees whom, and a real run."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """PPO: advantages and losses against hand computations, and indifference to padding and slot order."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type

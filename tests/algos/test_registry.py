@@ -1,7 +1,5 @@
 """Algorithms by name: what the registry offers can be chosen and built, and a line gives a further one a name."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path

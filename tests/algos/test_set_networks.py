@@ -1,7 +1,5 @@
 """What MAPPO and graph RL share: whole frames, and indifference to slot order, slot count and padding."""
 
-from __future__ import annotations
-
 import copy
 import math
 

@@ -1,7 +1,5 @@
 """TD3: its three changes to DDPG against hand computations, indifference to padding, and exact restoring."""
 
-from __future__ import annotations
-
 import copy
 
 import torch

@@ -1,7 +1,5 @@
 """Before its first update a policy that advises is the uncommanded CV, and one that corrects glide is glide."""
 
-from __future__ import annotations
-
 import contextlib
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Value normalisation: of valid agent-steps alone, turned back where advantages are estimated, kept in checkpoints."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict

@@ -1,7 +1,5 @@
 """The campaign: real training and tests, stopped in every way and gone on with."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """Experiments: what the files that ship list is there to be trained and played, and what a file gets wrong is said."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The planner: what it tries is what happens, and what it finds is better than leaving CVs uncommanded."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The speed benchmark: what cannot be measured is refused, and every row says how fast something is."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time

@@ -1,7 +1,5 @@
 """The twin beside SUMO: what is compared, how it is summed up, and the command from its first line to its files."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

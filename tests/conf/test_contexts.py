@@ -1,7 +1,5 @@
 """``contexts=...``: every choice builds what it says, and refuses what it cannot use."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

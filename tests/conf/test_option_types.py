@@ -1,7 +1,5 @@
 """Every option of every command with what its type cannot be: refused in one sentence, whoever reads the options."""
 
-from __future__ import annotations
-
 import copy
 import functools
 import json

@@ -1,7 +1,5 @@
 """``contexts.drivers`` and ``contexts.fleet``: in every source, part of a context's identity, and read with care."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

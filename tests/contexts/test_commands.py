@@ -1,7 +1,5 @@
 """The subcommands of ``python -m izoo.contexts`` that reach into other rooms."""
 
-from __future__ import annotations
-
 import dataclasses
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Which contexts are the same, and what is no set of contexts is refused."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Reference pages agree with the code: TensorDict layout, options, commands, examples, navigation."""
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import functools

@@ -1,7 +1,5 @@
 """``python -m izoo.drivers calibrate``: from a file to a population that contexts take, and its exit codes."""
 
-from __future__ import annotations
-
 import json
 import re
 from importlib.resources import files

@@ -1,7 +1,5 @@
 """The model: one step is the simulator's, the density is the one written down, and a known population is found."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Trajectory files: every form gives the same pairs, and what cannot be right is refused by row, column and remedy."""
 
-from __future__ import annotations
-
 import gzip
 import pickle
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The recovery study's own arithmetic: its populations, its summary, and folders that are continued."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Vehicles placed by hand on the hand-written net, for tests of the compiled functions without SUMO."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

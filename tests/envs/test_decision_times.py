@@ -1,7 +1,5 @@
 """Decisions once per vehicle: when a CV must decide, how long its decision holds, and how long a step lasts."""
 
-from __future__ import annotations
-
 import contextlib
 from collections import defaultdict
 from collections.abc import Callable, Iterator

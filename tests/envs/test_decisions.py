@@ -1,7 +1,5 @@
 """Decisions that last several steps: trajectories, sums of rewards, CVs that leave or enter during a decision."""
 
-from __future__ import annotations
-
 import contextlib
 from collections import defaultdict
 

@@ -1,7 +1,5 @@
 """Vehicles that SUMO drops because they could not enter the network: counted, and not reported on the terminal."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import subprocess

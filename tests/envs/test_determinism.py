@@ -1,7 +1,5 @@
 """A context and a seed determine an episode, for any number of processes, environments and threads, and any history."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 from typing import Any

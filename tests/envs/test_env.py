@@ -1,7 +1,5 @@
 """The TorchRL environments on both simulators: specs, steps, resets, seeds, and errors that say what to do."""
 
-from __future__ import annotations
-
 import contextlib
 from typing import Any
 

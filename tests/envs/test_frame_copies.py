@@ -1,7 +1,5 @@
 """What steps emit is in memory of its own, whichever threads wrote it, and whatever was there before."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """The Gymnasium views: Gymnasium's own checks, the ego's episodes, vector environments, and what is refused."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from collections.abc import Callable, Iterator

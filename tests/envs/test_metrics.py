@@ -1,7 +1,5 @@
 """The metrics of an episode: sums that agree with each other and with the vehicles."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import itertools

@@ -1,7 +1,5 @@
 """Observations number by number, with vehicles placed by hand."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The PettingZoo view: PettingZoo's own tests, agents that enter and leave, the state, and what is refused."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 from collections.abc import Iterator

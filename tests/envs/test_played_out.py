@@ -1,7 +1,5 @@
 """Episodes that are played out after their horizon, and their measure: CO2 and delay of the cohort."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The reward: the rewards of an episode against the equation in torch, CO2 against the surrogate."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import replace
 

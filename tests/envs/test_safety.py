@@ -1,7 +1,5 @@
 """Random actions over the full range: no CV runs a red light, and CVs collide no more than uncommanded."""
 
-from __future__ import annotations
-
 import contextlib
 from collections import Counter
 from collections.abc import Iterator

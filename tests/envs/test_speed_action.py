@@ -1,7 +1,5 @@
 """Desired speeds as actions: 1 is uncommanded, and lower ones have the same effect in SUMO and on the twin."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 from collections.abc import Callable

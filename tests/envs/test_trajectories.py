@@ -1,7 +1,5 @@
 """Trajectory export: the same numbers as the rollout, one row per vehicle and step."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The twin environment: it emits what SUMO's environments emit, and checks its options."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

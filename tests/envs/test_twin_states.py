@@ -1,7 +1,5 @@
 """The exact state of environments on the twin: saved, loaded, branched, and refused where it does not fit."""
 
-from __future__ import annotations
-
 import contextlib
 import copy
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The tables behind a frame, with vehicles placed by hand: motion, lanes, grades, leaders."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

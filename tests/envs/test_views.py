@@ -1,7 +1,5 @@
 """The views and the TorchRL environment play the same episode: same context, seed and actions, same trajectories."""
 
-from __future__ import annotations
-
 import contextlib
 import pickle
 from typing import Any, NamedTuple

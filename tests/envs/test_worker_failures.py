@@ -1,7 +1,5 @@
 """Worker processes that die, hang or meet a broken net, and parents that end in every way."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import functools

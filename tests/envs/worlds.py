@@ -1,7 +1,5 @@
 """Contexts, drivers and helpers that the tests of the environments share."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Tables of episodes with chosen numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

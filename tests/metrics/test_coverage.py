@@ -3,8 +3,6 @@
 Values are per cent of CO2 saved, of training seeds on intersections. The true figure is that of very many of both.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Intervals of a single intersection: the paired t of its episode seeds, and said to be that."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """The registry of figures: by hand, in both forms, and over sums that exist."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """Statistics by hand, and where they give no interval. Whether intervals hold is in ``test_coverage.py``."""
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -1,7 +1,5 @@
 """What a summary says of a table, and the verdict in words."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

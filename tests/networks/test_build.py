@@ -1,7 +1,5 @@
 """Nets built by ``netconvert`` and driven through by SUMO."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

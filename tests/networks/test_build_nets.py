@@ -1,7 +1,5 @@
 """Many nets in one call of netconvert: each the same as if it had been built alone."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The signal clock: tables by hand, by brute force, and against SUMO's own signal."""
 
-from __future__ import annotations
-
 import functools
 import re
 from collections.abc import Callable

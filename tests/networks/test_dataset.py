@@ -1,7 +1,5 @@
 """The published dataset's folders, and folders broken in every way that a user may meet."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pictures are written for every kind of intersection, and their colours and numbers are right."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

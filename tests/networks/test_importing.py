@@ -1,7 +1,5 @@
 """Import of folders and archives, with hostile ones among them."""
 
-from __future__ import annotations
-
 import csv
 import json
 import stat

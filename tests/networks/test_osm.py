@@ -1,7 +1,5 @@
 """Intersections from OpenStreetMap: hand-made maps with known answers, broken files, and the real extracts."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

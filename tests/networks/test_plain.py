@@ -1,7 +1,5 @@
 """Plain XML and lane connections, without running anything."""
 
-from __future__ import annotations
-
 import pytest
 from defusedxml import ElementTree
 

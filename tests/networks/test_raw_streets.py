@@ -1,7 +1,5 @@
 """Signals that control no junction, and what else real extracts hold that is easily misread."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

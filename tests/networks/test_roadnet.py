@@ -1,7 +1,5 @@
 """Reading a net into arrays: a hand-written one number by number, and the lanes that real ones must all have."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The search for fixed-time plans, and the delay that it minimises."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

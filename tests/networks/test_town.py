@@ -1,7 +1,5 @@
 """What a town's folder holds beyond its streets: signal plans that were given, and edits; and towns that drive left."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import pickle

@@ -1,7 +1,5 @@
 """Intersections made for tests, and a way to drive through their nets with SUMO itself."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Tables of results with chosen numbers, and folders of them."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path

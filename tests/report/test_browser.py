@@ -1,7 +1,5 @@
 """The page in a real Chromium: what is clicked and typed does what it says, and nothing is asked of a network."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import time

@@ -1,7 +1,5 @@
 """Leaderboard files: written from rows, checked, ranked, converted, and refused in one sentence."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

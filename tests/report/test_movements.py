@@ -1,7 +1,5 @@
 """Movements and the map of a town on the report's page."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

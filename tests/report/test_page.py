@@ -1,7 +1,5 @@
 """The page of a folder of results: whole, safe, and refused in one sentence where the folder is something else."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import html

@@ -1,7 +1,5 @@
 """Replays: the evaluated episode again, in small numbers that read back to where the vehicles were."""
 
-from __future__ import annotations
-
 import contextlib
 import gzip
 import json

@@ -1,7 +1,5 @@
 """The table and the picture of a sweep, from run folders."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

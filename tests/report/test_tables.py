@@ -1,7 +1,5 @@
 """A summary reads the same on a terminal, in Markdown and in HTML."""
 
-from __future__ import annotations
-
 import html
 import io
 import re

@@ -1,7 +1,5 @@
 """Short episodes of procedural contexts, for tests on the real simulators."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from pathlib import Path

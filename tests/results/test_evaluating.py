@@ -1,7 +1,5 @@
 """``python -m izoo.evaluate`` at toy size, and what it refuses."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

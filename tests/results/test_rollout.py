@@ -1,7 +1,5 @@
 """Paired episodes on the real simulator: the same for any number of workers, resumed, cached, and failing loudly."""
 
-from __future__ import annotations
-
 import dataclasses
 import subprocess
 import sys

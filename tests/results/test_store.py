@@ -1,7 +1,5 @@
 """Results folders: rows are appended whole, finished ones are kept, and what does not fit is one sentence."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

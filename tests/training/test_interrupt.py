@@ -1,7 +1,5 @@
 """Ctrl-C and SIGTERM: a run is saved, its worker processes do not notice, and the exit code says so."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """The learner's device: batches cross to it in one place, and weights come back."""
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Every learner learns from one decision per vehicle, and what a vehicle was paid uncommanded is taken from its own."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Options of a run that do not go together, or that are not there, are refused before anything is written."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

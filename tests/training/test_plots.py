@@ -1,7 +1,5 @@
 """Learning curves: what is drawn of a run and of several, and that labels and legends can be read."""
 
-from __future__ import annotations
-
 import itertools
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Training and evaluation on a Ray cluster of two nodes, both on this machine."""
 
-from __future__ import annotations
-
 import csv
 import importlib.util
 import os

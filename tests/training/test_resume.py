@@ -1,7 +1,5 @@
 """A run that was killed and resumed ends where an uninterrupted one does."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import shutil

@@ -1,7 +1,5 @@
 """A run that begins with the policy of another."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

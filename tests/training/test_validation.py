@@ -1,7 +1,5 @@
 """Validation beside training, on real SUMO."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json

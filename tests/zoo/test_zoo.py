@@ -1,7 +1,5 @@
 """Trained policies that ship: read and written, refused where damaged, exported from a run, and played."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import shlex

@@ -1,7 +1,5 @@
 """Where ways cross, merge and diverge: against the distances of vehicles to their junction foes in SUMO."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Nets with features that only SUMO supports are refused by name, and all others are read."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
