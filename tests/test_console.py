@@ -84,7 +84,7 @@ def work():
         for k in range(3):
             bar.update(k + 1)
             print("a line", file=sys.stderr)
-            time.sleep(0.2)
+            time.sleep(0.05)
     Path(sys.argv[1], "done").touch()
     print("ends")
     return 0
