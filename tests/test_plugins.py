@@ -101,6 +101,7 @@ def mine(here: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     [
         (":Mine", "policy=:Mine is not of the form module:name, such as mine:drive."),
         ("mine:", "policy=mine: is not of the form module:name, such as mine:drive."),
+        ("./mine.py:drive", "policy=./mine.py:drive is not of the form module:name, such as mine:drive."),
         (".mine:drive", "policy=.mine:drive is not of the form module:name, such as mine:drive."),
         ("nowhere.mine:drive", "policy=nowhere.mine:drive: No module named 'nowhere'."),
         ("mine.deeper:drive", "policy=mine.deeper:drive: No module named 'mine.deeper'; 'mine' is not a package."),
