@@ -1,7 +1,5 @@
 """Actions that say when to arrive: which speeds they stand for, and that learners learn from what they said."""
 
-from __future__ import annotations
-
 import contextlib
 from typing import Any
 
@@ -14,43 +12,23 @@ from izoo.algos.actions.arrival import Arrival
 from izoo.algos.learners.base import ACTION, DECIDES, MASK
 from izoo.algos.learners.decisions import Decisions
 from izoo.algos.learners.registry import make_algorithm, preset
-from izoo.contexts.features import feature
 from izoo.envs import EnvConfig, TwinEnv
-from izoo.envs.mdp.frame import observation_names
-from izoo.envs.mdp.observation import DISTANCE_SCALE_M, TIME_SCALE_S
+from izoo.envs.mdp.observation import DISTANCE_SCALE_M
 from izoo.errors import IzooError
+from tests.algos.frames import observed
 from tests.envs.worlds import crossing
 
-CONFIG = EnvConfig(
-    horizon_s=150.0,
-    warmup_s=5.0,
-    decide="vehicle",
-    action="speed",
-    action_parts=("speed_before", "speed_behind"),
-    num_agents=16,
-    num_vehicles=64,
-    emit=(),
-)
+PARTS = ("speed_before", "speed_behind")
+SLOTS: dict[str, Any] = {"num_agents": 16, "num_vehicles": 64, "emit": ()}
+CONFIG = EnvConfig(horizon_s=150.0, warmup_s=5.0, decide="vehicle", action="speed", action_parts=PARTS, **SLOTS)
 LIMIT_MPS, GREEN_S, RED_S = 10.0, 20.0, 30.0
 
 
 def seen(distance_m: float, colour: str, left_s: float, second_s: float) -> torch.Tensor:
     """What a vehicle observes before a signal of 20 s of green and 30 s of red, ``[1, F]``."""
-    names = observation_names(CONFIG)
-    row = torch.zeros(1, len(names))
-    values = {
-        "context_speed_limit_mps": LIMIT_MPS / feature("speed_limit_mps").scale,
-        "context_green_s": GREEN_S / feature("green_s").scale,
-        "context_red_s": RED_S / feature("red_s").scale,
-        "stop_line_distance": -distance_m / DISTANCE_SCALE_M,
-        f"signal_{colour}": 1.0,
-        "signal_time_left": left_s / TIME_SCALE_S,
-        "signal_second_green": second_s / TIME_SCALE_S,
-        "signal_third_green": (second_s + GREEN_S + RED_S) / TIME_SCALE_S,
-    }
-    for name, value in values.items():
-        row[0, names.index(name)] = value
-    return row
+    times = {"signal_time_left": left_s, "signal_second_green": second_s, f"signal_{colour}": 1.0}
+    times |= {"signal_third_green": second_s + GREEN_S + RED_S, "context_green_s": GREEN_S, "context_red_s": RED_S}
+    return observed(CONFIG, context_speed_limit_mps=LIMIT_MPS, stop_line_distance=-distance_m, **times).unsqueeze(0)
 
 
 @pytest.mark.parametrize(

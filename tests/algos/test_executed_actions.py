@@ -1,7 +1,5 @@
 """What came of commands: accelerations read from speeds, and the advice that stands for them."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDictBase

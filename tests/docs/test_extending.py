@@ -3,8 +3,6 @@
 They are written into a copy of the package with the very code that the page shows; nothing else in the copy changes.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

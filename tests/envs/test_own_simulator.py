@@ -1,7 +1,5 @@
 """A further simulator is a folder, here :mod:`tests.envs.toy_simulator`, and a line in ``izoo.envs.SIMULATORS``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The ``fuel`` rewards order drivers as an evaluation's measure does."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import itertools

@@ -1,7 +1,5 @@
 """Slots of agents and vehicles: vehicles that leave and enter, the horizon, and too few slots."""
 
-from __future__ import annotations
-
 import contextlib
 
 import pytest

@@ -1,7 +1,5 @@
 """A simulator in sixty lines: vehicles that see neither each other nor the signals, and drive as they are commanded."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
