@@ -13,7 +13,6 @@ from izoo.algos.learners.base import ACTION, DECIDES, MASK
 from izoo.algos.learners.decisions import Decisions
 from izoo.algos.learners.registry import make_algorithm, preset
 from izoo.envs import EnvConfig, TwinEnv
-from izoo.envs.mdp.observation import DISTANCE_SCALE_M
 from izoo.errors import IzooError
 from tests.algos.frames import observed
 from tests.envs.worlds import crossing
