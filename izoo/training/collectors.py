@@ -22,7 +22,7 @@ from izoo.results import ray_cluster
 from izoo.training.batches_in_place import BatchesInPlace
 from izoo.training.command_replay import EpisodeHistory
 from izoo.training.environments import TrainingBatchEnv, TrainingEnv, random_phases, training_class
-from izoo.training.process_collector import ProcessCollector, process_collector, worker_envs
+from izoo.training.process_collector import process_collector, worker_envs
 
 
 class BatchSource:
@@ -75,9 +75,7 @@ class BatchSource:
 
     def synchronise(self, policy: TensorDictModuleBase) -> None:
         """Hand changed parameters to collectors that run the policy in other processes."""
-        if isinstance(self._collector, ProcessCollector):
-            self._collector.hand_over(policy)
-        elif self._collector is not None and not isinstance(self._collector, Collector):
+        if self._collector is not None and not isinstance(self._collector, Collector):
             self._collector.update_policy_weights_(policy)
 
     def environments(self) -> dict[str, Any]:
