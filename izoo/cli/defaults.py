@@ -8,31 +8,19 @@ from typing import Any
 
 from izoo import tasks, zoo
 from izoo.conf.mapping import to_mapping
-from izoo.conf.train_options import CHANGEABLE, TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import BY_STEP
-from izoo.errors import IzooError
 from izoo.files import expanded
 from izoo.zoo import catalog
 
 
 def of_run(named: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options of the run that ``resume`` names.
-
-    Raises:
-        IzooError: there is none, or an option is given that belongs to what the run is.
-    """
+    """Return the options of the run that ``resume`` names; raises :class:`IzooError` where there is none."""
     if named.get("resume") is None:
         return {}
-    for name in sorted(named):
-        if name.split(".")[0] not in CHANGEABLE:
-            raise IzooError(
-                f"a resumed run keeps its own options, so {name} cannot be given with resume; "
-                f"only these can: {', '.join(CHANGEABLE)}."
-            )
     from izoo.training import run_folder
 
-    config = run_folder.resumed(expanded(str(named["resume"])).absolute())
-    return {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
+    return vars(run_folder.resumed(expanded(str(named["resume"])).absolute()))
 
 
 def of_policies(named: Mapping[str, Any]) -> dict[str, Any]:

@@ -111,7 +111,6 @@ def resolve(config: EvaluateConfig) -> Subject:
     folder = checkpoint.run_of(path)
     algorithm, trained, state = run_folder.load_algorithm(path)
     zoo.check_fits(f"the policy of {folder}", trained.env, config.env)
-    run_folder.check_drivers(folder, trained, config.contexts)
     label = folder.name if [path] == checkpoint.listed(folder)[-1:] else f"{folder.name}-{path.stem}"
     record = PolicyRecord("trained", None, str(path), trained.algo.name, state["frames"])
     return Subject(

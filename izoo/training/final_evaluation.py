@@ -10,7 +10,11 @@ from tensordict.nn import TensorDictModuleBase
 
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import ContextSource
+from izoo.metrics.summary import summarise
+from izoo.results.rollout import evaluate_policy
 from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
+from izoo.results.store import PolicyRecord
+from izoo.training import checkpoint
 
 EVALUATIONS = "evaluations"
 """Folder of a run with its results folders."""
@@ -33,10 +37,6 @@ def compare(
     Returns:
         :func:`izoo.metrics.summary.summarise`.
     """
-    from izoo.results import evaluate_policy, summarise
-    from izoo.results.store import PolicyRecord
-    from izoo.training import checkpoint
-
     options, folder = config.evaluation, run_dir / EVALUATIONS / LAST
     contexts = choose_contexts(source, options.contexts, config.seed)
     seeds = EpisodeSeeds(config.seed + EVALUATION_STREAM, options.seeds)
