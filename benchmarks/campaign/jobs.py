@@ -38,7 +38,7 @@ from izoo.results.rollout import Play, evaluated, missing, play_missing
 from izoo.results.selection import EpisodeSeeds
 from izoo.results.store import SHARED, Store
 from izoo.tasks import Task, limited
-from izoo.training import checkpoint, run_folder
+from izoo.training import checkpoint
 from izoo.training.option_checks import check_options
 from izoo.zoo import catalog
 
@@ -212,16 +212,13 @@ class PartRun:
         kind, entry = self.entries.get(job.entry, ("scripted", Entry(policy=job.entry)))
         env, known = self.env(job.entry), {}  # type: EnvConfig, dict[str, Any]
         given: Any = entry.policy
-        if kind in ("trained", "untrained"):
+        if kind == "trained":
+            run_dir = self.runs.run_dir((job.entry, job.seed))
+            path = (checkpoint.best_of(run_dir) if entry.select == "best" else None) or checkpoint.find(run_dir)
+            given, known = str(path), {"source": os.path.relpath(path, self.folder)}
+        elif kind == "untrained":
             config = self.configs[job.entry, job.seed]
-            known = {"kind": kind, "algo": config.algo.name}
-            if kind == "trained":
-                run_dir = self.runs.run_dir((job.entry, job.seed))
-                path = (checkpoint.best_of(run_dir) if entry.select == "best" else None) or checkpoint.find(run_dir)
-                given = run_folder.load_policy(path)
-                known |= {"source": os.path.relpath(path, self.folder), "frames": checkpoint.frames_of(path)}
-            else:
-                given = untrained(config)
+            given, known = untrained(config), {"kind": kind, "algo": config.algo.name}
         elif kind == "planner":
             given, known = planner.Planning(self._planner(entry)), {"source": self._planner(entry).source}
         elif entry.glide:

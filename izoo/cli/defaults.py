@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from izoo import tasks, zoo
+from izoo.algos.learners.registry import DRIVER_NAMES
 from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import TrainConfig
-from izoo.envs.config import BY_STEP
+from izoo.envs.config import BY_STEP, EnvConfig
 from izoo.files import expanded
 from izoo.zoo import catalog
 
@@ -24,13 +25,23 @@ def of_run(named: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def of_policies(named: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the environment of the policies that ship, or were exported, among those that are named.
-
-    ``env.emit`` stays the command's.
-    """
-    policies = named.get("policies", [named.get("policy", "")])
-    found = [zoo.load(name).env for policy in policies if (name := catalog.named(str(policy)))]
+    """Return the environment of the last trained policy that is named; ``env.emit`` stays the command's."""
+    found = list(filter(None, map(trained_env, named.get("policies", [named.get("policy")]))))
     return {"env": {name: value for name, value in to_mapping(found[-1]).items() if name != "emit"}} if found else {}
+
+
+def trained_env(policy: Any) -> EnvConfig | None:
+    """Return the environment of a policy that ships, was exported, or is that of a run, with full episodes."""
+    name = str(policy or "")
+    if not name or name in DRIVER_NAMES:
+        return None
+    if shipped := catalog.named(name):
+        return zoo.load(shipped).env
+    if not expanded(name).exists():
+        return None
+    from izoo.training import checkpoint, run_folder
+
+    return zoo.full_episodes(run_folder.read_config(checkpoint.run_of(checkpoint.find(expanded(name)))).env)
 
 
 def of_evaluation(named: Mapping[str, Any]) -> dict[str, Any]:
@@ -52,10 +63,10 @@ def of_evaluation(named: Mapping[str, Any]) -> dict[str, Any]:
             env = dataclasses.replace(env, horizon_s=task.env.horizon_s, warmup_s=task.env.warmup_s)
             found = {"contexts": task.test, "num_contexts": task.test_contexts, "seeds": task.test_episodes}
             found["task"] = trained.task
-    elif name := catalog.named(str(named.get("policy"))):
-        env = zoo.load(name).env
-    else:  # drivers that are written by hand command accelerations
+    elif (own_env := trained_env(named.get("policy"))) is None:  # drivers written by hand command accelerations
         return {"env": {**BY_STEP, "hold_s": None}}
+    else:
+        env = own_env
     from izoo.results.store import own_settings
 
     own = own_settings(env) if has_task else set(to_mapping(env)) - {"emit", "drain_s"}

@@ -12,18 +12,16 @@ from torch import nn
 from torchrl.collectors import Collector
 from torchrl.envs.utils import ExplorationType
 
-from izoo import zoo
 from izoo.algos.drivers.random import RandomDriver
 from izoo.conf.train_options import CollectConfig
 from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
 from izoo.contexts.source import RandomSchedule
 from izoo.envs import make, simulator_of
 from izoo.errors import IzooError, UnfinishedError
-from izoo.files import NO_ROOM, claimed_empty, expanded
+from izoo.files import NO_ROOM, claimed_empty
 from izoo.gpu import check_gpu
 from izoo.results.playing import Policy
 from izoo.results.policies import as_policy
-from izoo.training import run_folder
 from izoo.training.shard_writer import MANIFEST, ShardWriter
 from izoo.training.shards import pack
 
@@ -115,17 +113,8 @@ def _make_collector(config: CollectConfig, policy: Policy, schedule: RandomSched
 
 
 def make_policy(config: CollectConfig) -> Policy:
-    """Return the policy that ``config.policy`` names: a driver, one that ships, one's own, or a run's."""
+    """Return the policy that ``config.policy`` names."""
     if config.policy == "random":
         return RandomDriver(seed=config.seed, config=config.env)
-    if zoo.named(config.policy) or not expanded(config.policy).exists():
-        policy = as_policy(config.policy, config.env).policy
-        return policy.eval() if isinstance(policy, nn.Module) else policy
-    algorithm, trained, _ = run_folder.load_algorithm(config.policy)
-    zoo.check_fits(f"the policy of {config.policy}", trained.env, config.env)
-    if trained.env.decision_s != config.env.decision_s:
-        raise IzooError(
-            f"the policy of {config.policy} decides every {trained.env.decision_s:g} s, and env every "
-            f"{config.env.decision_s:g} s; set env.hold_s={trained.env.decision_s:g}."
-        )
-    return algorithm.policy.eval()
+    policy = as_policy(config.policy, config.env).policy
+    return policy.eval() if isinstance(policy, nn.Module) else policy

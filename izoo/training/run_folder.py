@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from tensordict.nn import TensorDictModuleBase
 
 from izoo.algos.learners.base import Algorithm, innermost
 from izoo.algos.learners.registry import make_algorithm
@@ -197,8 +196,3 @@ def _weight_options(config: TrainConfig) -> dict[str, Any]:
         "seconds of a decision": config.env.decision_s,
         **{f"algo.{name}": options[name] for name in NETWORK_OPTIONS if name in options},
     }
-
-
-def load_policy(where: Path | str) -> TensorDictModuleBase:
-    """Return the policy of a run folder or checkpoint file, ready to act on ``("agents", "observation")``."""
-    return load_algorithm(where)[0].policy.eval()

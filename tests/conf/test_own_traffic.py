@@ -12,7 +12,6 @@ import pytest
 
 from izoo import evaluate, train
 from izoo.cli import compose
-from izoo.cli.evaluate import resolve
 from izoo.conf.context_choices import DatasetContexts, PcgContexts
 from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import TrainConfig
@@ -180,7 +179,7 @@ def test_a_run_goes_on_with_the_drivers_that_it_began_with(own_file: Path, tmp_p
     moved = run_dir.rename(tmp_path / "moved")
     kept = moved / "drivers-1.json"
     assert kept.read_text() == before
-    assert resolve(evaluate.COMMAND.compose([f"run={moved}"])).contexts.drivers == str(kept)
-    assert resolve(evaluate.COMMAND.compose([f"run={moved}", "contexts=pcg_easy"])).contexts.drivers is None
+    assert evaluate.COMMAND.compose([f"run={moved}"]).contexts.drivers == str(kept)
+    assert evaluate.COMMAND.compose([f"run={moved}", "contexts=pcg_easy"]).contexts.drivers is None
     assert train.main([f"resume={moved}", "total_frames=200"]) == 0
     assert kept.read_text() == before
