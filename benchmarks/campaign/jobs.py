@@ -38,7 +38,7 @@ from izoo.results.rollout import Play, evaluated, missing, play_missing
 from izoo.results.selection import EpisodeSeeds
 from izoo.results.store import SHARED, Store
 from izoo.tasks import Task, limited
-from izoo.training import checkpoint
+from izoo.training import checkpoint, run_folder
 from izoo.training.option_checks import check_options
 from izoo.zoo import catalog
 
@@ -223,7 +223,7 @@ class PartRun:
             given, known = planner.Planning(self._planner(entry)), {"source": self._planner(entry).source}
         elif entry.glide:
             given = Glide(env, from_mapping(GlideConfig, entry.glide))
-        named = as_policy(given, env, job.entry)
+        named = (run_folder.any_policy if isinstance(given, str) else as_policy)(given, env, job.entry)
         self.store.admit({(job.entry, job.seed): dataclasses.replace(named.record, **known)})
         return named.policy
 

@@ -19,11 +19,11 @@ from izoo.errors import IzooError
 from izoo.metrics.summary import summarise
 from izoo.report.leaderboard import write_entries
 from izoo.report.tables import print_summary
-from izoo.results.policies import NamedPolicy, as_policy
+from izoo.results.policies import NamedPolicy
 from izoo.results.rollout import evaluate_policy
 from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
 from izoo.results.store import read_table
-from izoo.training import checkpoint
+from izoo.training import checkpoint, run_folder
 from izoo.training.final_evaluation import EVALUATIONS
 
 
@@ -84,11 +84,11 @@ def resolve(config: EvaluateConfig) -> tuple[NamedPolicy, Path]:
     if (config.run is None) == (config.policy is None):
         raise IzooError("give one of run=RUN_DIR and policy=NAME; --help lists the policies.")
     if config.policy is not None:
-        return as_policy(config.policy, config.env, config.name), Path.cwd()
+        return run_folder.any_policy(config.policy, config.env, config.name), Path.cwd()
     path = checkpoint.find(Path(config.run or ""), config.checkpoint)
     folder = checkpoint.run_of(path)
     label = folder.name if [path] == checkpoint.listed(folder)[-1:] else f"{folder.name}-{path.stem}"
-    return as_policy(str(path), config.env, config.name or label), folder
+    return run_folder.any_policy(str(path), config.env, config.name or label), folder
 
 
 def _task(config: EvaluateConfig) -> str:

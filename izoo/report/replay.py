@@ -208,4 +208,4 @@ class Player:
                     raise IzooError(f"the policy is the code {each}; imports=true allows to import it.")
                 if each.endswith(WEIGHTS):
                     run_folder.read_config(checkpoint.run_of(Path(each)), imports=False)
-            yield as_policy(each, config).policy
+            yield run_folder.any_policy(each, config).policy

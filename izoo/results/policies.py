@@ -18,13 +18,11 @@ from izoo.algos.drivers.uncommanded import UncommandedDriver
 from izoo.algos.learners.registry import cap_share
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, unknown_choice
-from izoo.files import expanded
 from izoo.imports import imported
 from izoo.metrics.pairing import BASELINES
 from izoo.results.playing import Policy
 from izoo.results.store import PolicyRecord, own_settings
-from izoo.training import checkpoint, run_folder
-from izoo.zoo.catalog import WEIGHTS
+from izoo.zoo import catalog
 
 
 class NamedPolicy(NamedTuple):
@@ -41,7 +39,7 @@ def as_policy(policy: str | Policy, config: EnvConfig, name: str | None = None) 
 
     Args:
         policy: a driver's name, ``zoo:NAME``, the path of a file ``NAME.pt`` that ``python -m izoo.zoo export`` wrote,
-            a training run or one of its checkpoints, ``module:function``, or the policy itself.
+            ``module:function``, or the policy itself (:func:`izoo.training.run_folder.any_policy`: or a run).
         config: the environment in which it is to act.
         name: in tables; ``None``: its own.
 
@@ -60,21 +58,12 @@ def as_policy(policy: str | Policy, config: EnvConfig, name: str | None = None) 
     if policy in DRIVERS or cap_share(policy) is not None:
         record = PolicyRecord(source=policy, env=None if policy in BASELINES else own)
         return NamedPolicy(name or policy, make_driver(policy, config), record)
-    path = expanded(policy)
     if shipped := zoo.named(policy):
         trained = zoo.load(shipped)
         zoo.check_fits(f"the policy {trained.name}", trained.env, config)
-        source = str(path.absolute()) if path.suffix == WEIGHTS else policy
-        record = PolicyRecord("trained", weights_hash(trained.policy), source, trained.algo.name, env=own)
-        return NamedPolicy(name or trained.name, trained.policy, record)
-    if path.exists():
-        path = checkpoint.find(path.absolute())
-        run = checkpoint.run_of(path)
-        algorithm, options, state = run_folder.load_algorithm(path)
-        zoo.check_fits(f"the policy of {run}", options.env, config)
-        found = algorithm.policy.eval()
-        record = PolicyRecord("trained", weights_hash(found), str(path), options.algo.name, state["frames"], own)
-        return NamedPolicy(name or run.name, found, record, options.seed)
+        named = as_policy(trained.policy, config, name or trained.name)
+        source = catalog.absolute(policy)
+        return named._replace(record=dataclasses.replace(named.record, source=source, algo=trained.algo.name))
     if ":" not in policy:
         raise unknown_choice("policy", policy, [*DRIVERS, "cap_SHARE", "zoo:NAME", "FILE.pt", "module:function"])
     named = as_policy(import_policy(policy), config, name or policy.rpartition(":")[2])

@@ -21,7 +21,7 @@ from izoo.errors import IzooError, UnfinishedError
 from izoo.files import NO_ROOM, claimed_empty
 from izoo.gpu import check_gpu
 from izoo.results.playing import Policy
-from izoo.results.policies import as_policy
+from izoo.training import run_folder
 from izoo.training.shard_writer import MANIFEST, ShardWriter
 from izoo.training.shards import pack
 
@@ -116,5 +116,5 @@ def make_policy(config: CollectConfig) -> Policy:
     """Return the policy that ``config.policy`` names."""
     if config.policy == "random":
         return RandomDriver(seed=config.seed, config=config.env)
-    policy = as_policy(config.policy, config.env).policy
+    policy = run_folder.any_policy(config.policy, config.env).policy
     return policy.eval() if isinstance(policy, nn.Module) else policy

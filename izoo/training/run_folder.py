@@ -12,11 +12,13 @@ from typing import Any
 
 import yaml
 
+from izoo import zoo
 from izoo.algos.learners.base import Algorithm, innermost
-from izoo.algos.learners.registry import make_algorithm
+from izoo.algos.learners.registry import DRIVER_NAMES, make_algorithm
 from izoo.conf.mapping import from_mapping, to_mapping, to_yaml
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.population import MAX_FILE_BYTES
+from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.files import (
@@ -30,6 +32,7 @@ from izoo.files import (
     write_bytes,
     write_text,
 )
+from izoo.results.policies import NamedPolicy, as_policy
 from izoo.training import checkpoint
 from izoo.training.loggers import LOGGER_FOLDERS
 
@@ -196,3 +199,21 @@ def _weight_options(config: TrainConfig) -> dict[str, Any]:
         "seconds of a decision": config.env.decision_s,
         **{f"algo.{name}": options[name] for name in NETWORK_OPTIONS if name in options},
     }
+
+
+def any_policy(policy: str, config: EnvConfig, name: str | None = None) -> NamedPolicy:
+    """Return what :func:`izoo.results.policies.as_policy` does, or the policy of a run or one of its checkpoints.
+
+    Raises:
+        IzooError: there is no such policy, or it was trained on other observations or decisions.
+    """
+    path = expanded(policy).absolute()
+    if policy in DRIVER_NAMES or zoo.named(policy) or not path.exists():
+        return as_policy(policy, config, name)
+    path = checkpoint.find(path)
+    run_dir = checkpoint.run_of(path)
+    algorithm, trained, state = load_algorithm(path)
+    zoo.check_fits(f"the policy of {run_dir}", trained.env, config)
+    found = as_policy(algorithm.policy.eval(), config, name or run_dir.name)
+    record = dataclasses.replace(found.record, source=str(path), algo=trained.algo.name, frames=state["frames"])
+    return found._replace(record=record, train_seed=trained.seed)
