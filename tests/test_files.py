@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,10 +12,8 @@ import pytest
 from izoo.files import (
     claimed,
     claimed_empty,
-    discard_partials,
     free_folder,
     os_reason,
-    partial_of,
     replacing_folder,
     unpacked,
     write_text,
@@ -115,16 +112,3 @@ def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
         raise KeyboardInterrupt
     assert [path.name for path in target.iterdir()] == ["one"]
     assert [path.name for path in target.parent.iterdir()] == ["target"]
-
-
-def test_what_killed_processes_left_is_removed_and_what_others_write_is_kept(tmp_path: Path) -> None:
-    here = partial_of(tmp_path / "file").name.split("-")[1]
-    others = [f".file.partial-{here}-{os.getppid()}-0c", ".file.partial-0123abcd-999999999-0d"]
-    (tmp_path / f".town.partial-{here}-999999999-0a").mkdir()
-    for name in (f".file.partial-{here}-999999999-0b", *others):
-        (tmp_path / name).touch()
-    discard_partials(tmp_path, "town")
-    assert len(list(tmp_path.iterdir())) == 3
-    discard_partials(tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {*others}
-    assert partial_of(tmp_path / "file") != partial_of(tmp_path / "file")
