@@ -333,7 +333,6 @@ class CollectConfig(RolloutConfig):
         out: a new or empty folder for the data.
         contexts: which contexts episodes are drawn from.
         env: the environment, and with ``env.emit`` what is stored besides the agents.
-        shard_frames: most steps per shard, a set of memory-mapped files.
         twin: how the twin runs.
     """
 
@@ -342,9 +341,8 @@ class CollectConfig(RolloutConfig):
     out: str | None = None
     contexts: ContextsConfig = field(default_factory=PcgContexts)
     env: EnvConfig = field(default_factory=training_env)
-    shard_frames: int = 100_000
     twin: TwinConfig = field(default_factory=TwinConfig)
-    ranges = (("frames", 1, 10**12), ("shard_frames", 1, 10**9))
+    ranges = (("frames", 1, 10**12),)
 
     def __post_init__(self) -> None:
         super().__post_init__()

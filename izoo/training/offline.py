@@ -22,8 +22,7 @@ from izoo.files import NO_ROOM, claimed_empty
 from izoo.gpu import check_gpu
 from izoo.results.playing import Policy
 from izoo.training import run_folder
-from izoo.training.shard_writer import MANIFEST, ShardWriter
-from izoo.training.shards import pack
+from izoo.training.stored_steps import StepsWriter, pack
 
 FRAMES_PER_BATCH = 1000
 
@@ -31,9 +30,8 @@ FRAMES_PER_BATCH = 1000
 def collect(config: CollectConfig) -> Path:
     """Step environments with a policy and store every step.
 
-    The folder holds ``shard-00000``, ... and ``manifest.json``, which lists the finished shards and is replaced whole
-    after each of them: what it names is complete, whenever the command is stopped. Shards are written under another
-    name and renamed.
+    The folder holds a file per leaf, and ``manifest.json``, which is replaced whole after each batch: what it counts is
+    complete, whenever the command is stopped.
 
     Args:
         config: the options.
@@ -53,7 +51,7 @@ def collect(config: CollectConfig) -> Path:
     source = config.contexts.build()
     with claimed_empty(out, "out"):
         collector = _make_collector(config, policy, RandomSchedule(source, config.seed))
-        writer = ShardWriter(config, out)
+        writer = StepsWriter(config, out)
         try:
             with graceful_interrupt() as interrupt, Progress(config.frames) as bar:
                 for batch in collector:
@@ -64,14 +62,13 @@ def collect(config: CollectConfig) -> Path:
                     bar.update(writer.frames)
                     if interrupt.requested or writer.frames >= config.frames:
                         break
-            writer.finish_shard()
         except OSError as error:
-            kept = f"; shards that its {MANIFEST} names are complete" if (out / MANIFEST).exists() else ""
-            text = f"could not write to {out}: {error}{kept}"
             remedy = "Make room, then collect" if error.errno in NO_ROOM else "Collect"
-            raise UnfinishedError(f"{text}. {remedy} the rest into another folder.") from error
+            raise UnfinishedError(
+                f"could not write to {out}: {error}; {writer.frames:,} steps are complete. {remedy} the rest into "
+                "another folder."
+            ) from error
         finally:
-            writer.discard()
             collector.shutdown()
     print(f"Data: {out}", flush=True)
     if interrupt.requested:
