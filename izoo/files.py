@@ -171,12 +171,8 @@ def reading(path: Path) -> Iterator[None]:
         ) from error
 
 
-class DamagedError(Exception):
-    """A part of a file is not what was written."""
-
-
 def check_parts(path: Path) -> None:
-    """Raise :class:`DamagedError` where a part of a file of torch's does not have its checksum, which torch would not
+    """Raise :class:`ValueError` where a part of a file of torch's does not have its checksum, which torch would not
     notice, or is compressed, which torch never does: a few bytes can stand for more than fits into the memory.
 
     ``zipfile`` raises errors of its own for bytes that are no archive.
@@ -190,7 +186,7 @@ def check_parts(path: Path) -> None:
                     while stream.read(1 << 20):
                         pass
             except Exception as error:  # a checksum, a header, or what zlib makes of either
-                raise DamagedError(f"its part {member.filename} is not what was written") from error
+                raise ValueError(f"its part {member.filename} is not what was written") from error
 
 
 def unpacked(packed: bytes, most: int = MOST_UNPACKED_BYTES) -> bytes:

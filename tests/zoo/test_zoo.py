@@ -64,7 +64,7 @@ def test_one_changed_byte_is_noticed(written: Path) -> None:
     content = bytearray(written.read_bytes())
     content[len(content) // 2] ^= 1
     written.write_bytes(content)
-    with pytest.raises(IzooError, match=r"calm\.pt .*(damaged|cut short)"):
+    with pytest.raises(IzooError, match=r"calm\.pt: .*damaged"):
         zoo.read(written)
 
 
@@ -218,8 +218,8 @@ def test_other_files_are_refused_in_a_sentence(tmp_path: Path, capsys: pytest.Ca
     torch.save({"weights": torch.zeros(3)}, tmp_path / "foreign.pt")
     (tmp_path / "text.pt").write_text("policy")
     files = {
-        tmp_path / "foreign.pt": "foreign.pt is not a policy of this version of izoo",
-        tmp_path / "text.pt": "text.pt is cut short or not a policy",
+        tmp_path / "foreign.pt": "foreign.pt: it is not a policy of format",
+        tmp_path / "text.pt": "text.pt: ",
         tmp_path / "nowhere.pt": "nowhere.pt; give one that python -m izoo.zoo export wrote",
     }
     for path, said in files.items():
@@ -265,11 +265,11 @@ def test_a_shipped_policy_drives_as_it_did(name: str) -> None:
 @pytest.mark.parametrize(
     ("state", "message"),
     [
-        ({"format": "izoo-policy-0"}, "not a policy of this version"),
-        ([1, 2], "not a policy of this version"),
-        ({"format": "izoo-policy-1"}, "hold a policy of algo=;"),
+        ({"format": "izoo-policy-0"}, "not a policy of format"),
+        ([1, 2], "not a policy of format"),
+        ({"format": "izoo-policy-1"}, "cannot read .*options"),
         ({"format": "izoo-policy-1", "options": {"algo": {"name": "pqo"}}}, "hold a policy of algo=pqo"),
-        ({"format": "izoo-policy-1", "options": {"algo": {"name": "ppo"}}}, "can build: 'action'"),
+        ({"format": "izoo-policy-1", "options": {"algo": {"name": "ppo"}}}, "cannot read .*action"),
     ],
 )
 def test_other_files_are_refused(state: object, message: str, tmp_path: Path) -> None:
@@ -286,6 +286,6 @@ def test_nothing_in_a_file_is_run(tmp_path: Path) -> None:
 
     path = tmp_path / "trap.pt"
     torch.save({"format": "izoo-policy-1", "options": Trap()}, path)
-    with pytest.raises(IzooError, match="not a policy"):
+    with pytest.raises(IzooError, match="cannot read"):
         zoo.read(path)
     assert not (tmp_path / "ran").exists()
