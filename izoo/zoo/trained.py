@@ -99,9 +99,8 @@ def read(path: Path) -> TrainedPolicy:
         state: Any = torch.load(path, map_location="cpu", weights_only=True)
         if not isinstance(state, dict) or state.get("format") != FORMAT:
             raise ValueError(f"it is not a policy of format {FORMAT}")
-        options = {name: state["options"][name] for name in KEPT}
-        _check_algorithm(str(options["algo"]["name"]), path)
-        config = from_mapping(TrainConfig, options)
+        _check_algorithm(str(state["options"]["algo"]["name"]), path)
+        config = from_mapping(TrainConfig, {name: state["options"][name] for name in KEPT})
         policy = make_algorithm(config.algo, config.action, config.env).policy
         policy.load_state_dict(state["policy"])
     return TrainedPolicy(path.stem, policy.eval(), config.env, config.algo, config.action)
