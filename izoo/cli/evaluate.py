@@ -24,7 +24,6 @@ from izoo.results.rollout import evaluate_policy
 from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
 from izoo.results.store import read_table
 from izoo.training import checkpoint, run_folder
-from izoo.training.final_evaluation import EVALUATIONS
 
 
 def evaluate(config: EvaluateConfig) -> Path:
@@ -37,7 +36,7 @@ def evaluate(config: EvaluateConfig) -> Path:
     else:
         contexts = tasks.limited(source, config.num_contexts)
         seeds = EpisodeSeeds(tasks.TEST_SEED + config.seed, config.seeds)
-    out = Path(config.out) if config.out else folder / EVALUATIONS / _label(config, contexts)
+    out = Path(config.out) if config.out else folder / run_folder.EVALUATIONS / _label(config, contexts)
     where = f" on {simulator_of(config.simulator).label}"
     what = f"{_task(config)}, {describe(contexts, seeds, config.env)}"
     print(f"Evaluating {subject.name}{where}: {what}. Results: {out}", flush=True)

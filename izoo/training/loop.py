@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -20,14 +21,16 @@ from izoo.console import Interrupt, Progress, graceful_interrupt
 from izoo.envs import simulator_of
 from izoo.errors import IzooError, UnfinishedError
 from izoo.files import NO_ROOM
+from izoo.metrics.summary import summarise
 from izoo.processes import processor_s
-from izoo.results.store import flat
+from izoo.results.rollout import evaluate_policy
+from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
+from izoo.results.store import PolicyRecord, flat
 from izoo.training import checkpoint, loggers, plots, run_folder
 from izoo.training.baseline_episodes import BaselineComparison
 from izoo.training.batch_statistics import READS, episode_stats, unused_slots
 from izoo.training.collectors import BatchSource
 from izoo.training.environments import NUMBERS
-from izoo.training.final_evaluation import compare
 from izoo.training.learner import is_finite, learner_device
 from izoo.training.loggers import IMITATION
 from izoo.training.option_checks import check_options
@@ -347,12 +350,34 @@ class Session:
             self._plotted_s = self.state.seconds
 
     def _evaluate(self, show: Show | None) -> None:
-        """Compare the policy with the baselines, if the options ask for it, and show the summary."""
-        found: dict[str, Any] = {}
-        if self.config.evaluation.contexts > 0 and self.state.batches > 0:
-            found = compare(self.config, self.state.learner.policy, self.run_dir, self.state.source, self.state.frames)
+        """Compare the policy with the baselines in SUMO, if the options ask for it, and show the summary.
+
+        Episodes are as long as those of training; what an earlier comparison left is replaced.
+        """
+        config, options, found = self.config, self.config.evaluation, None
+        if options.contexts > 0 and self.state.batches > 0:
+            contexts = choose_contexts(self.state.source, options.contexts, config.seed)
+            seeds = EpisodeSeeds(config.seed + EVALUATION_STREAM, options.seeds)
+            print(f"Comparing with human driving: {describe(contexts, seeds, config.env)}.", flush=True)
+            folder = self.run_dir / run_folder.EVALUATIONS / run_folder.LAST
+            shutil.rmtree(folder, ignore_errors=True)
+            source, name = str(checkpoint.find(self.run_dir)), config.algo.name
+            table = evaluate_policy(
+                self.state.learner.policy,
+                contexts,
+                seeds,
+                config.env,
+                name=name,
+                train_seed=config.seed,
+                workers=config.num_workers,
+                out=folder,
+                record=PolicyRecord("trained", None, source, name, self.state.frames),
+            )
+            found = summarise(table)
         print(f"Run folder: {self.run_dir}", flush=True)
-        if found and show is not None:
-            show(found)
-        elif found:
-            print(found["verdict"], flush=True)
+        if found is not None:
+            (show or _say_verdict)(found)
+
+
+def _say_verdict(summary: Mapping[str, Any]) -> None:
+    print(summary["verdict"], flush=True)

@@ -36,6 +36,8 @@ from izoo.results.policies import NamedPolicy, as_policy
 from izoo.training import checkpoint
 from izoo.training.loggers import LOGGER_FOLDERS
 
+EVALUATIONS, LAST = "evaluations", "last"
+"""Folder of a run with its results folders, and the one of them that is of its final evaluation."""
 CONFIG_FILE, METRICS_FILE, CURVE_FILE = "config.yaml", "metrics.csv", "learning_curve.png"
 NETWORK_OPTIONS = ("hidden", "activation", "initial_spread", "layers", "heads", "neighbours", "range_m")
 """Options of ``algo`` that decide what the weights of a policy mean."""
