@@ -196,7 +196,7 @@ def test_an_exported_policy_is_an_entry_of_the_benchmarks(
     )
     run = PartRun(read_experiment(str(tmp_path / "mine.yaml")), "lane", tmp_path, CampaignConfig())
     monkeypatch.chdir(tmp_path)
-    ((kind, mine),) = run.entries.values()
+    kind, mine = run.entries["mine"]
     assert (kind, mine.policy) == ("scripted", str(exported)), "a campaign goes on from any folder"
     own = run.env("mine")
     assert own.hold_s == 2.0 != run.env("human").hold_s and own.horizon_s == run.task.env.horizon_s
