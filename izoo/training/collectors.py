@@ -22,7 +22,7 @@ from izoo.results import ray_cluster
 from izoo.training.batches_in_place import BatchesInPlace
 from izoo.training.command_replay import EpisodeHistory
 from izoo.training.environments import TrainingBatchEnv, TrainingEnv, random_phases, training_class
-from izoo.training.process_collector import process_collector, worker_envs
+from izoo.training.process_collector import ENDLESS, process_collector, worker_envs
 
 
 class BatchSource:
@@ -123,17 +123,7 @@ def _side_by_side(
 
 def in_process(env: EnvBase, policy: TensorDictModuleBase, frames: int) -> Collector:
     """Return a collector of ``frames`` steps per batch from an environment in this process."""
-    return Collector(
-        env,
-        policy,
-        frames_per_batch=frames,
-        total_frames=-1,
-        exploration_type=ExplorationType.RANDOM,
-        return_same_td=True,
-        track_traj_ids=False,
-        trust_policy=True,
-        auto_register_policy_transforms=False,
-    )
+    return Collector(env, policy, frames_per_batch=frames, return_same_td=True, track_traj_ids=False, **ENDLESS)
 
 
 def _ray_collector(

@@ -10,7 +10,6 @@ import torch
 from tensordict import TensorDictBase
 from torch import nn
 from torchrl.collectors import Collector
-from torchrl.envs.utils import ExplorationType
 
 from izoo.algos.drivers.random import RandomDriver
 from izoo.conf.train_options import CollectConfig
@@ -22,6 +21,7 @@ from izoo.files import NO_ROOM, claimed_empty
 from izoo.gpu import check_gpu
 from izoo.results.playing import Policy
 from izoo.training import run_folder
+from izoo.training.process_collector import ENDLESS
 from izoo.training.stored_steps import StepsWriter, pack
 
 FRAMES_PER_BATCH = 1000
@@ -98,10 +98,7 @@ def _make_collector(config: CollectConfig, policy: Policy, schedule: RandomSched
                 env,
                 policy,
                 frames_per_batch=-(-FRAMES_PER_BATCH // env.batch_size.numel()) * env.batch_size.numel(),
-                total_frames=-1,
-                exploration_type=ExplorationType.RANDOM,
-                trust_policy=True,
-                auto_register_policy_transforms=False,
+                **ENDLESS,
             )
         except BaseException:
             if not env.is_closed:

@@ -24,6 +24,13 @@ from izoo.processes import STARTUP_S
 from izoo.training.command_replay import EpisodeHistory
 from izoo.training.environments import TrainingEnv
 
+ENDLESS: dict[str, Any] = {
+    "total_frames": -1,
+    "exploration_type": ExplorationType.RANDOM,
+    "trust_policy": True,
+    "auto_register_policy_transforms": False,
+}
+"""Options of TorchRL's collectors: batches without end, of actions that are drawn, of a policy that stays as it is."""
 WORKER_TRACEBACK = "\n\nWorker traceback:"
 """What TorchRL puts after the message of an error of another process."""
 SLOWER = 10.0
@@ -119,11 +126,8 @@ def process_collector(
             worker_envs(config, schedule, histories),
             policy,
             frames_per_batch=frames,
-            total_frames=-1,
-            exploration_type=ExplorationType.RANDOM,
-            trust_policy=True,
-            auto_register_policy_transforms=False,
             watchdog_s=config.env.watchdog_s,
+            **ENDLESS,
         )
     except IzooError as error:
         raise IzooError(str(error).partition(WORKER_TRACEBACK)[0]) from None
