@@ -60,8 +60,8 @@ class BatchSource:
                 env = _side_by_side(config, schedule, left_at, keeps)
                 self.batched = BatchesInPlace(env, policy, frames // config.environments)
                 return
-            if config.collector.name in _APART:
-                self._collector = _APART[config.collector.name](config, policy, schedule, histories, frames)
+            if config.collector in _APART:
+                self._collector = _APART[config.collector](config, policy, schedule, histories, frames)
             else:
                 self._collector = in_process(_by_process(config, schedule, histories), policy, frames)
             self._batches: Iterator[TensorDictBase] = iter(self._collector)
@@ -98,7 +98,7 @@ class BatchSource:
 def _by_process(config: TrainConfig, schedule: Schedule, histories: Sequence[EpisodeHistory]) -> EnvBase:
     """Return environments of which each is stepped in a process; one alone in this process."""
     options: dict[str, Any] = {"config": config.env, "seed": config.seed, "histories": histories}
-    if config.collector.name == "single":
+    if config.collector == "single":
         return TrainingEnv(schedule, simulator=config.simulator, **options)
     return training_class(config.simulator)(config.num_workers, contexts=schedule, shard=0, **options)
 

@@ -18,7 +18,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
-from izoo.conf.train_options import CollectorConfig, TrainConfig
+from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import as_schedule
 from izoo.envs import EnvConfig
 from izoo.errors import IzooError
@@ -30,7 +30,7 @@ from tests.envs.worlds import crossing
 STEPS = 50  # episodes take 70 steps, so that one ends within the second batch
 CONFIG = TrainConfig(
     algo=PPOConfig(hidden=(8,), frames_per_batch=2 * STEPS),
-    collector=CollectorConfig(name="multisync"),
+    collector="multisync",
     env=EnvConfig(emit=("context",), horizon_s=60.0, num_agents=16),
     num_workers=2,
 )
