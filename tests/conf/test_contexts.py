@@ -238,7 +238,7 @@ def test_a_mixture_is_validated_on_the_validation_split_of_those_that_have_one()
 )
 def test_a_mixture_that_cannot_be_made_is_refused(words, said):
     with pytest.raises(IzooError) as refused:
-        chosen("contexts=mixed", *words).check()
+        chosen("contexts=mixed", *words).build()
     assert said in str(refused.value)
 
 
