@@ -5,11 +5,44 @@ from __future__ import annotations
 import dataclasses
 import functools
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 from izoo.cli.option_command import OptionCommand
-from izoo.conf.report_options import ReportConfig
-from izoo.errors import IzooError
+from izoo.errors import CheckedOptions, IzooError
+from izoo.files import make_absolute
+
+
+@dataclass(frozen=True)
+class ReportConfig(CheckedOptions):
+    """Options of a report.
+
+    Attributes:
+        results: a folder that izoo.evaluate, izoo.train or a benchmark has written; or that of a sweep, with training
+            runs at any depth, as izoo.train -m leaves them: then a row for every combination of the options in which
+            the runs differ is printed and written to ``sweep.csv`` there, a row per run to ``sweep_runs.csv``, and the
+            learning curves to ``sweep.png``. Runs that have not finished are counted and named. The other options are
+            refused for a sweep.
+        task: show no other task of the folder.
+        out: the page; null: ``RESULTS/report.html``.
+        title: its title; null: what the folder says.
+        replay: show the best and the worst context of every policy, played again beside uncommanded. That takes some
+            seconds for each the first time; then they lie in the folder "replays" of the evaluation.
+        imports: import policies that are written module:function for that. Say true only of results that you trust.
+        partial: accept results that are not complete.
+    """
+
+    results: str | None = None
+    task: str | None = None
+    out: str | None = None
+    title: str | None = None
+    replay: bool = True
+    imports: bool = False
+    partial: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        make_absolute(self, "results", "out")
 
 
 def report(config: ReportConfig) -> Path:
@@ -47,7 +80,7 @@ COMMAND = OptionCommand(
         "izoo.report results/campaign task=busy_lane",
         "izoo.report runs/DATE-sweep",
     ),
-    config="izoo.conf.report_options:ReportConfig",
+    config="izoo.report.__main__:ReportConfig",
     work="izoo.report.__main__:report",
     place="results",
 )
