@@ -90,7 +90,10 @@ class ProcessCollector(MultiSyncCollector):
                     "resume=RUN_DIR."
                 ) from error
             # TorchRL notices too, but then stumbles over the other processes, or over the pipe; these it ends itself.
-            codes = {number: process.exitcode for number, process in enumerate(self.procs) if not process._closed}
+            codes = {}
+            for number, process in enumerate(self.procs):
+                with contextlib.suppress(ValueError):  # TorchRL has ended and closed it
+                    codes[number] = process.exitcode
             ended = [number for number, code in codes.items() if code not in (None, -signal.SIGTERM)]
             if not ended and "process failed" in str(error):
                 ended = [number for number, code in codes.items() if code is not None]
