@@ -21,7 +21,7 @@ from izoo.cli.calibrate import check_packages
 from izoo.cli.option_command import GOES_ON, OptionCommand
 from izoo.contexts.population import IDM_PARAMETERS, DriverPopulation
 from izoo.envs.model_version import MODEL_VERSION
-from izoo.errors import check_range, check_types
+from izoo.errors import CheckedOptions
 from izoo.files import make_absolute
 from izoo.results.rows_file import Key, Row, RowsFile
 
@@ -38,7 +38,7 @@ NUMBERS = ("minutes", "seconds", "processor_seconds", "worst_r_hat", "least_ess"
 
 
 @dataclass(frozen=True)
-class CalibrationConfig:
+class CalibrationConfig(CheckedOptions):
     """Options of the study.
 
     Attributes:
@@ -55,12 +55,10 @@ class CalibrationConfig:
     speed_noise_mps: float = 0.0
     warmup: int = 200
     draws: int = 400
+    ranges = (("sets", 1, 1000), ("drivers", 5, 200), ("speed_noise_mps", 0.0, 1.0, "m/s"))
 
     def __post_init__(self) -> None:
-        check_types("", self)
-        check_range("sets", self.sets, 1, 1000)
-        check_range("drivers", self.drivers, 5, 200)
-        check_range("speed_noise_mps", self.speed_noise_mps, 0.0, 1.0, "m/s")
+        super().__post_init__()
         make_absolute(self, "out")
 
 

@@ -19,7 +19,7 @@ from izoo.cli.option_command import GOES_ON, OptionCommand
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
 from izoo.envs.config import ACTION_LOW_MPS2, EnvConfig
-from izoo.errors import IzooError, check_range
+from izoo.errors import CheckedOptions, IzooError, check_range
 from izoo.files import make_absolute
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ LEAST_GAIN = 1e-3
 
 
 @dataclass(frozen=True)
-class PlannerConfig:
+class PlannerConfig(CheckedOptions):
     """Options of the planner.
 
     Attributes:
@@ -74,15 +74,13 @@ class PlannerConfig:
     out: str | None = None
     verbose: bool = False
 
+    ranges = (("num_contexts", 1, 10**7), ("seeds", 1, 10**6), ("seed", 0, 2**31 - 1), ("threads", 1, 1024))
+
     def __post_init__(self) -> None:
-        if self.num_contexts is not None:
-            check_range("num_contexts", self.num_contexts, 1, 10**7)
-        check_range("seeds", self.seeds, 1, 10**6)
-        check_range("seed", self.seed, 0, 2**31 - 1)
-        for adoption in self.adoptions:
-            check_range("adoptions", adoption, 1e-3, 1.0)
-        for cap in self.caps:
-            check_range("caps", cap, 1e-3, 1.0)
+        super().__post_init__()
+        for name in ("adoptions", "caps"):
+            for share in getattr(self, name):
+                check_range(name, share, 1e-3, 1.0)
         if not (self.adoptions and self.caps):
             raise IzooError("adoptions and caps each need one entry or more.")
         self.env.require_accelerations("the planner")

@@ -41,17 +41,15 @@ def load(folder: Path | str) -> TensorDictBase:
         other, reads only what it samples.
 
     Raises:
-        IzooError: the folder is not a finished data set of izoo, or a shard is missing.
+        IzooError: the folder is not a data set of izoo, or not whole.
     """
-    import torch
+    from izoo.training.stored_steps import open_steps
 
-    from izoo.training.dataset import load_shards
-
-    return torch.cat([shard[:] for shard in load_shards(folder)])
+    return open_steps(folder).collected()
 
 
 def replay_buffer(folder: Path | str, **options: Any) -> TensorDictReplayBuffer:
-    """Open a data set of any number of shards as a read-only replay buffer, memory-mapped, without copying.
+    """Open a data set as a read-only replay buffer, memory-mapped, without copying.
 
     It holds the steps of one environment after those of another, each in the order of time, so that TorchRL's
     ``SliceSampler`` draws slices of episodes, once it is told which step is of which (:func:`trajectories`).
@@ -62,11 +60,10 @@ def replay_buffer(folder: Path | str, **options: Any) -> TensorDictReplayBuffer:
     """
     from torchrl.data import ImmutableDatasetWriter, TensorDictReplayBuffer
 
-    from izoo.training.dataset import storage
-    from izoo.training.shards import as_they_are
+    from izoo.training.stored_steps import as_they_are, open_steps
 
     return TensorDictReplayBuffer(
-        storage=storage(folder), writer=ImmutableDatasetWriter(), collate_fn=as_they_are, **options
+        storage=open_steps(folder), writer=ImmutableDatasetWriter(), collate_fn=as_they_are, **options
     )
 
 
@@ -76,9 +73,9 @@ def trajectories(folder: Path | str) -> Tensor:
     For ``SliceSampler(slice_len=20, trajectories=trajectories(folder), cache_values=True)``: with the name of a key
     instead, it reads the whole data set for every batch.
     """
-    from izoo.training.dataset import storage
+    from izoo.training.stored_steps import open_steps
 
-    return storage(folder).leaf(("collector", "traj_ids"))
+    return open_steps(folder).leaf(("collector", "traj_ids"))
 
 
 if __name__ == "__main__":

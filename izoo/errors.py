@@ -6,6 +6,7 @@ every other exception is a defect of izoo and keeps its traceback.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import math
 import numbers
@@ -92,27 +93,28 @@ def check_line(what: str, text: str) -> None:
 
 
 def check_types(group: str, config: Any) -> None:
-    """Raise :class:`IzooError` where a field of a dataclass holds another type than it declares.
+    """Make every field of a frozen dataclass hold the type that it declares.
 
     Finite numbers, switches, texts, names out of a few, what may be missing (``None``), and lists of them are checked;
-    whole numbers pass for real ones, lists for tuples. Other fields check themselves. Numbers of NumPy's become
-    Python's.
+    whole numbers pass for real ones and the other way round, numbers for texts, lists for tuples, numbers of NumPy's
+    for Python's. Other fields check themselves.
 
     Args:
         group: the group of options, for messages; empty where there is none.
         config: an instance; its class must be defined in a module, where its annotations can be read.
+
+    Raises:
+        IzooError: a field holds something else.
     """
     for name, kind in typing.get_type_hints(type(config)).items():
         legal = _legal(kind)
-        value = getattr(config, name, None)
-        parts = value if isinstance(value, (tuple, list)) else (value,)
-        if any(hasattr(part, "dtype") for part in parts):
-            plain = tuple(map(plain_number, parts))
-            value = plain if parts is value else plain[0]
-            object.__setattr__(config, name, value)
-        if legal is not None and not any(check(value) for _, check in legal):
-            option = f"{group}.{name}" if group else name
-            raise IzooError(f"{option} is {value!r}; it must be {' or '.join(word for word, _ in legal)}.")
+        if legal is not None and hasattr(config, name):
+            value = getattr(config, name)
+            fitting = _fitting(legal, value)
+            if not fitting:
+                option = f"{group}.{name}" if group else name
+                raise IzooError(f"{option} is {value!r}; it must be {' or '.join(word for word, _ in legal)}.")
+            object.__setattr__(config, name, fitting[0])
 
 
 Ranges: TypeAlias = tuple[tuple[Any, ...], ...]
@@ -139,27 +141,37 @@ class CheckedOptions:
                         check_range(f"{self.group}.{name}" if self.group else name, value, *limits)
 
 
-_Kind = tuple[str, Callable[[object], bool]]
+_Kind = tuple[str, Callable[[Any], Any]]
+"""A type in words, and what returns a value of it, or raises :class:`TypeError`."""
 
 
-def _is_bool(value: object) -> bool:
-    return isinstance(value, bool)
+def _fitting(legal: list[_Kind], value: Any) -> list[Any]:
+    """Return what a value can be of some types; what it is already comes first."""
+    found = []
+    for _, convert in legal:
+        with contextlib.suppress(TypeError):
+            found.append(convert(plain_number(value)))
+    return sorted(found, key=lambda each: type(each) is not type(value))
 
 
-_SCALARS: dict[Any, _Kind] = {
-    bool: ("true or false", _is_bool),
-    int: ("a whole number", lambda value: isinstance(value, numbers.Integral) and not _is_bool(value)),
-    float: (
-        "a finite number",
-        lambda value: isinstance(value, numbers.Real) and not _is_bool(value) and math.isfinite(value),
-    ),
-    str: ("text", lambda value: isinstance(value, str)),
-    type(None): ("null", lambda value: value is None),
-}
+def _scalar(kind: type) -> Callable[[Any], Any]:
+    def convert(value: Any) -> Any:
+        number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+        if number and kind in (int, float, str) and math.isfinite(value) and (kind is not int or value == int(value)):
+            return kind(value)
+        if number or type(value) is not kind:
+            raise TypeError
+        return value
+
+    return convert
+
+
+_WORDS = {bool: "true or false", int: "a whole number", float: "a finite number", str: "text", type(None): "null"}
+_SCALARS: dict[Any, _Kind] = {kind: (word, _scalar(kind)) for kind, word in _WORDS.items()}
 
 
 def _legal(kind: Any) -> list[_Kind] | None:
-    """Return in words what a declared type allows, and how to tell; ``None``: it is not one that is checked here."""
+    """Return the types that a declared one allows; ``None``: it is not one that is checked here."""
     if kind in _SCALARS:
         return [_SCALARS[kind]]
     origin, args = typing.get_origin(kind), typing.get_args(kind)
@@ -168,12 +180,20 @@ def _legal(kind: Any) -> list[_Kind] | None:
         return None if None in parts else [entry for part in parts for entry in part or ()]
     if origin is typing.Literal:
         words = [str(arg) for arg in args]
-        return [(words[0] if len(words) == 1 else f"one of {', '.join(words)}", lambda value: value in args)]
-    if (origin is list or (origin is tuple and args[1:] == (Ellipsis,))) and _legal(args[0]) is not None:
-        inner = _legal(args[0]) or []
 
-        def holds(value: object) -> bool:
-            return isinstance(value, (tuple, list)) and all(any(check(item) for _, check in inner) for item in value)
+        def one_of(value: Any) -> Any:
+            if value not in args:
+                raise TypeError
+            return value
 
-        return [(f"a list, each entry {' or '.join(word for word, _ in inner)}", holds)]
+        return [(words[0] if len(words) == 1 else f"one of {', '.join(words)}", one_of)]
+    if (origin is list or (origin is tuple and args[1:] == (Ellipsis,))) and (inner := _legal(args[0])) is not None:
+
+        def each(value: Any) -> Any:
+            fitting = [_fitting(inner, item) for item in value] if isinstance(value, (tuple, list)) else [[]]
+            if not all(fitting):
+                raise TypeError
+            return origin(item[0] for item in fitting)
+
+        return [(f"a list, each entry {' or '.join(word for word, _ in inner)}", each)]
     return None

@@ -9,7 +9,6 @@ import contextlib
 import errno
 import fcntl
 import gzip
-import hashlib
 import io
 import json
 import os
@@ -36,7 +35,7 @@ _ABOUT_PATHS = (
     *(errno.EEXIST, *NO_ROOM),
 )
 """Errors for which another path is a remedy."""
-_PARTIAL = re.compile(r"\.(?P<name>.+)\.partial-(?P<place>[0-9a-f]{8})-(?P<pid>\d+)-[0-9a-f]+")
+_PARTIAL = re.compile(r"\..+\.partial-[0-9a-f]{8}")
 
 
 def expanded(path: str | Path) -> Path:
@@ -172,12 +171,8 @@ def reading(path: Path) -> Iterator[None]:
         ) from error
 
 
-class DamagedError(Exception):
-    """A part of a file is not what was written."""
-
-
 def check_parts(path: Path) -> None:
-    """Raise :class:`DamagedError` where a part of a file of torch's does not have its checksum, which torch would not
+    """Raise :class:`ValueError` where a part of a file of torch's does not have its checksum, which torch would not
     notice, or is compressed, which torch never does: a few bytes can stand for more than fits into the memory.
 
     ``zipfile`` raises errors of its own for bytes that are no archive.
@@ -191,7 +186,7 @@ def check_parts(path: Path) -> None:
                     while stream.read(1 << 20):
                         pass
             except Exception as error:  # a checksum, a header, or what zlib makes of either
-                raise DamagedError(f"its part {member.filename} is not what was written") from error
+                raise ValueError(f"its part {member.filename} is not what was written") from error
 
 
 def unpacked(packed: bytes, most: int = MOST_UNPACKED_BYTES) -> bytes:
@@ -210,20 +205,23 @@ def unpacked(packed: bytes, most: int = MOST_UNPACKED_BYTES) -> bytes:
 def replacing_folder(target: Path) -> Iterator[Path]:
     """Give an empty folder to fill, which takes the place of ``target`` when the block ends without an error.
 
-    What killed processes left beside ``target`` is removed first.
+    What a killed process left beside ``target`` is removed first.
+
+    Raises:
+        IzooError: another process fills it.
     """
-    staging, old = partial_of(target), partial_of(target)
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        discard_partials(target.parent, target.name)
-        staging.mkdir()
-        yield staging
-        if target.exists():
-            target.replace(old)
-        staging.replace(target)
-    finally:
-        for left in (staging, old):
-            shutil.rmtree(left, ignore_errors=True)
+    staging, old = (target.with_name(f".{target.name}.{what}") for what in ("partial", "old"))
+    with claimed(staging, "wait for its end, or choose another target"):
+        try:
+            for left in staging.iterdir():
+                shutil.rmtree(left) if left.is_dir() and not left.is_symlink() else left.unlink()
+            yield staging
+            if target.exists():
+                target.replace(old)
+            staging.replace(target)
+        finally:
+            for path in (staging, old):
+                shutil.rmtree(path, ignore_errors=True)
 
 
 def check_replaceable(target: Path, known: Callable[[], Collection[str]]) -> None:
@@ -241,37 +239,12 @@ def check_replaceable(target: Path, known: Callable[[], Collection[str]]) -> Non
 
 def partial_of(path: Path) -> Path:
     """Return where ``path`` is written until it is whole; a new name at every call."""
-    return path.with_name(f".{path.name}.partial-{_place()}-{os.getpid()}-{secrets.token_hex(4)}")
-
-
-def _place() -> str:
-    """Return what stands for this machine, or this container: where a process has its number."""
-    about = os.uname().nodename
-    with contextlib.suppress(OSError):
-        about += str(Path("/proc/self/ns/pid").readlink())
-    return hashlib.sha256(about.encode()).hexdigest()[:8]
+    return path.with_name(f".{path.name}.partial-{secrets.token_hex(4)}")
 
 
 def is_partial(path: Path) -> bool:
     """Whether a path is one of those that :func:`partial_of` returns."""
     return _PARTIAL.fullmatch(path.name) is not None
-
-
-def discard_partials(folder: Path, name: str | None = None) -> None:
-    """Remove from ``folder`` what dead processes of this machine left half-written: under ``name``, or all of it.
-
-    What processes of other machines and containers write is left alone: whether they run is not known here.
-    """
-    for path in folder.iterdir():
-        match = _PARTIAL.fullmatch(path.name)
-        if not match or name not in (None, match["name"]) or match["place"] != _place():
-            continue
-        if _is_running(int(match["pid"])):
-            continue
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path, ignore_errors=True)
-        else:
-            path.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -393,16 +366,3 @@ def _flush(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def _is_running(pid: int) -> bool:
-    """Whether there is a process of this number, of whomever, other than this one."""
-    if pid == os.getpid():
-        return False
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass
-    return True

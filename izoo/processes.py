@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import signal
 import socket
 import struct
@@ -148,11 +149,12 @@ def _exactly(connection: socket.socket, length: int) -> bytes:
 
 
 def end_with_parent(descriptor: int, end: Callable[[], object] = lambda: os._exit(1)) -> None:
-    """In a child: call ``end`` once the parent is gone or has dismissed this process."""
+    """In a child: call ``end`` once the parent is gone or has dismissed this process, whatever it is doing."""
 
     def watch() -> None:
-        with contextlib.suppress(OSError):
-            os.read(descriptor, 1)
+        gone = select.poll()
+        gone.register(descriptor, 0)  # a hang-up is always told
+        gone.poll()
         end()
 
     threading.Thread(target=watch, daemon=True).start()

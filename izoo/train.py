@@ -1,8 +1,24 @@
 """``python -m izoo.train``: train a policy on eco-driving contexts and compare it with human driving."""
 
+from __future__ import annotations
+
 import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from izoo.cli.option_command import OptionCommand
+
+if TYPE_CHECKING:
+    from izoo.conf.train_options import TrainConfig
+
+
+def run(config: TrainConfig) -> Path:
+    """Train, print the comparison that ends the run, and return the run's folder."""
+    from izoo.report.tables import print_summary
+    from izoo.training import loop
+
+    return loop.train(config, print_summary)
+
 
 COMMAND = OptionCommand(
     name="train",
@@ -16,7 +32,7 @@ COMMAND = OptionCommand(
         "izoo.train resume=runs/RUN total_frames=500000",
     ),
     config="izoo.conf.train_options:TrainConfig",
-    work="izoo.cli.train:train",
+    work="izoo.train:run",
     defaults="izoo.cli.defaults:of_run",
 )
 main = COMMAND.main

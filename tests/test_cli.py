@@ -198,7 +198,7 @@ def test_every_run_of_a_sweep_has_a_folder(monkeypatch: pytest.MonkeyPatch) -> N
     def work(config: TrainConfig) -> None:
         folders.append(str(config.run_dir))
 
-    monkeypatch.setattr("izoo.cli.train.train", work)
+    monkeypatch.setattr("izoo.train.run", work)
     assert train.main(["-m", "seed=0,1", "algo=ppo,cmaes_teams"]) == 0
     assert [re.sub(".*-sweep/", "", folder) for folder in folders] == [
         *("0-ppo-seed0", "1-cmaes-seed0", "2-ppo-seed1", "3-cmaes-seed1"),

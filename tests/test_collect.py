@@ -3,7 +3,6 @@
 import errno
 import json
 import os
-import pickle
 import re
 import shutil
 from collections.abc import Callable
@@ -12,15 +11,14 @@ from typing import Any
 
 import pytest
 import torch
-from tensordict import MemoryMappedTensor, NonTensorData, TensorDict
+from tensordict import MemoryMappedTensor, TensorDict
 from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement, SliceSampler
 
 from izoo import collect
 from izoo.conf.train_options import CollectConfig
 from izoo.errors import IzooError
-from izoo.training import dataset
-from izoo.training.shard_writer import MANIFEST, ShardWriter
-from izoo.training.shards import Shard, pack
+from izoo.training import offline, stored_steps
+from izoo.training.stored_steps import MANIFEST, StepsWriter, StoredSteps, open_steps, pack
 from tests.conftest import Refused
 
 TOY = ["contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "env.horizon_s=75", "env.emit=[context]"]
@@ -36,16 +34,18 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_data_load_back_memory_mapped(data: Path) -> None:
     steps = collect.load(data)
     assert steps.shape == (300,)
-    (shard,) = dataset.load_shards(data)
-    assert isinstance(shard.rows["agents", "observation"], MemoryMappedTensor)
-    assert len(shard.rows) < 2 * int(steps["agents", "mask"].sum()), "empty slots are not stored"
-    action = steps["agents", "action"][steps["agents", "mask"]]
+    rows = open_steps(data).rows
+    assert isinstance(rows["agents", "observation"], MemoryMappedTensor)
+    assert len(rows) < 2 * int(steps["agents", "mask"].sum()), "empty slots are not stored"
+    mask = steps["agents", "mask"]
+    assert bool(mask.any())
+    action = steps["agents", "action"][mask]
     assert float(action.min()) < -3.0 and float(action.max()) > 1.5, "the random driver uses the whole range"
     assert bool(steps["next", "agents", "reward"].any()) and bool(steps["next", "done"].any())
     manifest = json.loads((data / MANIFEST).read_text())
     assert manifest["frames"] == 300
     assert len(manifest["observation_names"]) == steps["agents", "observation"].shape[-1]
-    assert sorted(path.name for path in data.iterdir()) == [MANIFEST, "shard-00000"]
+    assert {path.suffix for path in data.iterdir() if path.name != MANIFEST} == {".bin"}
 
 
 def test_steps_are_read_as_they_were_written() -> None:
@@ -60,11 +60,11 @@ def test_steps_are_read_as_they_were_written() -> None:
 
     following = TensorDict({"agents": agents(held[1]), "done": torch.zeros(20, 1, dtype=torch.bool)}, [20])
     steps = TensorDict({"agents": agents(held[0]), "time": torch.arange(20), "next": following}, [20])
-    shard = Shard(pack(steps), 6)
+    stored = StoredSteps(pack(steps), 6)
     for index in (slice(None), torch.tensor([7]), torch.tensor([19, 0, 7, 3, 19])):
-        assert bool((shard[index] == steps[index]).all())
+        assert bool((stored.get(index) == steps[index]).all())
     with pytest.raises(ValueError, match="rows of agents"):
-        Shard(pack(steps).set(("steps", "count"), torch.ones(20, dtype=torch.int64)), 6)
+        StoredSteps(pack(steps).set(("steps", "count"), torch.ones(20, dtype=torch.int64)), 6)
 
 
 def test_the_size_is_said_before_anything_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -78,22 +78,14 @@ def test_an_occupied_folder_is_refused(data: Path, refused: Refused) -> None:
     assert collect.load(data).shape == (300,)
 
 
-def test_shards_hold_the_same_steps_as_one_file(data: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    assert collect.main([*TOY, "frames=300", "shard_frames=128", f"out={out}"]) == 0
-    assert [len(shard) for shard in dataset.load_shards(out)] == [128, 128, 44]
-    whole, parts = collect.load(data), collect.load(out)
-    for key in (("agents", "observation"), ("agents", "action"), ("context", "seed")):
-        assert torch.equal(whole[key], parts[key])
-
-
-def test_shards_are_one_storage_that_reads_what_is_drawn(data: Path, tmp_path: Path) -> None:
-    writer = ShardWriter(CollectConfig(frames=300, shard_frames=128), tmp_path)
-    writer.write(collect.load(data))
+def test_batches_are_one_storage_that_reads_what_is_drawn(data: Path, tmp_path: Path) -> None:
+    writer, steps = StepsWriter(CollectConfig(frames=300), tmp_path), collect.load(data)
+    for begin in (0, 128, 256):
+        writer.write(steps[begin : begin + 128])
+    assert bool((collect.load(tmp_path) == steps).all())
     buffer = collect.replay_buffer(tmp_path, batch_size=64)
     whole, storage = torch.cat([collect.load(data)[worker::2] for worker in range(2)]), buffer.storage
-    assert len(storage) == 300 and [len(shard) for shard in storage.shards] == [128, 128, 44]
-    assert any(isinstance(shard.rows["agents", "observation"], MemoryMappedTensor) for shard in storage.shards)
+    assert len(storage) == 300
     key = ("agents", "observation")
     for index in (torch.tensor([299, 0, 127, 128, 5, 299]), slice(120, 260), slice(None), [3, -1], torch.arange(0)):
         assert torch.equal(storage.get(index)[key], whole[key][index])
@@ -106,7 +98,7 @@ def test_shards_are_one_storage_that_reads_what_is_drawn(data: Path, tmp_path: P
     sample = buffer.sample()
     assert sample.shape == (64,) and len(buffer) == 300
     assert torch.equal(sample[key], whole[key][sample["index"].view(-1)])
-    assert set(sample["index"].view(-1).tolist()) - set(range(128)), "later shards are drawn too"
+    assert set(sample["index"].view(-1).tolist()) - set(range(128))
     with pytest.raises(RuntimeError, match="doesn't allow writing"):
         buffer.extend(whole)
     ordered = collect.replay_buffer(tmp_path, sampler=SamplerWithoutReplacement(shuffle=False), batch_size=100)
@@ -115,7 +107,7 @@ def test_shards_are_one_storage_that_reads_what_is_drawn(data: Path, tmp_path: P
 
 def test_slices_are_of_one_episode_of_one_environment(tmp_path: Path) -> None:
     words = [*TOY, "simulator=twin", "num_envs=3", "policy=tests.results.odd_policies:gentle", f"out={tmp_path / 'd'}"]
-    assert collect.main([*words, "frames=500", "shard_frames=200", "env.emit=[context,signal]"]) == 0
+    assert collect.main([*words, "frames=500", "env.emit=[context,signal]"]) == 0
     sampler = SliceSampler(slice_len=10, trajectories=collect.trajectories(tmp_path / "d"), cache_values=True)
     buffer = collect.replay_buffer(tmp_path / "d", batch_size=400, sampler=sampler)
     slices = buffer.sample().reshape(-1, 10)
@@ -159,7 +151,7 @@ def _manifest(**entries: Any) -> Callable[[Path], object]:
 
 
 def _cut_short(folder: Path) -> None:
-    path = next(folder.glob("shard-*/rows/agents/observation.memmap"))
+    path = folder / "rows.agents.observation.bin"
     os.truncate(path, path.stat().st_size // 2)
 
 
@@ -168,10 +160,11 @@ def _cut_short(folder: Path) -> None:
     [
         (lambda folder: (folder / MANIFEST).write_text("{"), "damaged"),
         (_manifest(format="other"), "of format 'other'"),
-        (_manifest(shards=[{"name": "shard-00007", "frames": 300}]), "lacks shard-00007"),
-        (_manifest(shards=[{"name": "shard-00000", "frames": 10}]), "not as manifest.json says"),
+        (lambda folder: (folder / "steps.next.done.bin").unlink(), r"done\.bin has 0 bytes, and should have 300"),
+        (_manifest(frames=10), "rows of agents"),
+        (_manifest(leaves={"rows.../../secret": ["torch.float32", [1]]}), "is not a file name"),
         # Torch would extend the file with zeros, on disk.
-        (_cut_short, r"observation\.memmap has [\d,]+ bytes, and should have"),
+        (_cut_short, r"observation\.bin has [\d,]+ bytes, and should have"),
     ],
 )
 def test_a_data_set_that_is_not_whole_is_refused(
@@ -183,52 +176,27 @@ def test_a_data_set_that_is_not_whole_is_refused(
         collect.load(tmp_path / "data")
 
 
-@pytest.mark.slow
 def test_a_full_disk_is_said_and_leaves_what_was_finished(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
-    """Room is asked for before a mapping is written to, which the system would answer with a signal."""
-    out = tmp_path / "data"
+    out, parts = tmp_path / "data", []
 
-    def fill(descriptor: int, offset: int, size: int) -> None:
-        if (out / "shard-00001").exists():
+    def fill(steps: TensorDict) -> TensorDict:
+        parts.append(steps)
+        if len(parts) > 3:  # the first says how large the data will be
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return pack(steps)
 
-    monkeypatch.setattr(os, "posix_fallocate", fill, raising=False)
-    words = ["policy=random", "frames=1000", "shard_frames=100", "env.num_agents=16", "env.horizon_s=60", f"out={out}"]
-    refused(collect.main, words, "Make room, then collect the rest into another folder", code=1)
-    assert len(collect.load(out)) == 200 and not list(out.glob(".shard*"))
-
-
-def test_an_unfinished_shard_is_never_part_of_the_data(tmp_path: Path, data: Path) -> None:
-    writer = ShardWriter(CollectConfig(frames=100, shard_frames=40), tmp_path)
-    writer.write(collect.load(data)[:50])
-    assert [len(shard) for shard in dataset.load_shards(tmp_path)] == [40]
-    writer.finish_shard()
-    assert [len(shard) for shard in dataset.load_shards(tmp_path)] == [40, 10]
+    monkeypatch.setattr(stored_steps, "pack", fill)
+    monkeypatch.setattr(offline, "pack", fill)
+    monkeypatch.setattr(offline, "FRAMES_PER_BATCH", 100)
+    words = ["policy=random", "frames=1000", "env.num_agents=16", "env.horizon_s=60", f"out={out}"]
+    refused(collect.main, words, "200 steps are complete. Make room, then collect the rest into another folder", code=1)
+    assert len(collect.load(out)) == 200
 
 
-def test_a_data_set_reads_nothing_outside_of_its_folder(data: Path, tmp_path: Path) -> None:
+def test_what_was_cut_off_is_never_part_of_the_data(tmp_path: Path, data: Path) -> None:
     shutil.copytree(data, tmp_path / "data")
-    (tmp_path / "secret.memmap").write_bytes(bytes(4))
-    path = next((tmp_path / "data").glob("shard-*")) / "meta.json"
-    entry = {"device": "cpu", "shape": [1], "dtype": "torch.float32", "is_nested": False}
-    path.write_text(json.dumps({**json.loads(path.read_text()), "../../secret": entry}))
-    with pytest.raises(IzooError, match="is not a file name"):
-        collect.load(tmp_path / "data")
-
-
-def test_a_data_set_that_would_run_code_is_refused(data: Path, tmp_path: Path) -> None:
-    class Evil:
-        def __reduce__(self) -> tuple[Any, tuple[str]]:
-            return (os.mkdir, (str(tmp_path / "ran"),))
-
-    shutil.copytree(data, tmp_path / "data")
-    shard = next(path for path in (tmp_path / "data").iterdir() if path.is_dir())
-    NonTensorData(print).memmap_(shard / "x")
-    (shard / "x" / "other.pickle").write_bytes(pickle.dumps({"data": Evil()}))
-    content = json.loads((shard / "meta.json").read_text())
-    (shard / "meta.json").write_text(json.dumps({**content, "x": {"type": "NonTensorData"}}))
-    with pytest.raises(IzooError, match="cannot read"):
-        collect.load(tmp_path / "data")
-    assert not (tmp_path / "ran").exists()
+    for path in (tmp_path / "data").glob("*.bin"):
+        path.write_bytes(path.read_bytes() + b"cut")
+    assert bool((collect.load(tmp_path / "data") == collect.load(data)).all())

@@ -1,7 +1,6 @@
 """Files that are whole or absent, folders that one process uses, and reasons in words that are true."""
 
 import gzip
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -103,16 +102,3 @@ def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
         raise KeyboardInterrupt
     assert [path.name for path in target.iterdir()] == ["one"]
     assert [path.name for path in target.parent.iterdir()] == ["target"]
-
-
-def test_what_killed_processes_left_is_removed_and_what_others_write_is_kept(tmp_path: Path) -> None:
-    here = files.partial_of(tmp_path / "file").name.split("-")[1]
-    others = [f".file.partial-{here}-{os.getppid()}-0c", ".file.partial-0123abcd-999999999-0d"]
-    (tmp_path / f".town.partial-{here}-999999999-0a").mkdir()
-    for name in (f".file.partial-{here}-999999999-0b", *others):
-        (tmp_path / name).touch()
-    files.discard_partials(tmp_path, "town")
-    assert len(list(tmp_path.iterdir())) == 3
-    files.discard_partials(tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {*others}
-    assert files.partial_of(tmp_path / "file") != files.partial_of(tmp_path / "file")

@@ -75,7 +75,7 @@ def test_a_run_leaves_what_it_promises(finished: Path) -> None:
 
 
 def test_the_policy_of_a_run_can_be_used(finished: Path) -> None:
-    policy = run_folder.load_policy(finished)
+    policy = run_folder.load_algorithm(finished)[0].policy.eval()
     features = len(observation_names(run_folder.read_config(finished).env))
     agents = {"observation": torch.randn(7, features), "mask": torch.ones(7, dtype=torch.bool)}
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):

@@ -136,6 +136,11 @@ class DDPGConfig(AlgoConfig):
         ("noise_frames", 1, 10**12),
     )
 
+    @property
+    def variate(self) -> str:
+        """What the uncommanded episode's rewards are subtracted from."""
+        return self.control_variate
+
     def __post_init__(self) -> None:
         super().__post_init__()
         base.check_widths("algo.hidden", self.hidden)

@@ -19,14 +19,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from izoo.cli.option_command import GOES_ON, OptionCommand
-from izoo.errors import check_range, check_types
+from izoo.errors import CheckedOptions
 from izoo.files import make_absolute
 
 TABLES_FILE = "tables.md"
 
 
 @dataclass(frozen=True)
-class CampaignConfig:
+class CampaignConfig(CheckedOptions):
     """Options of a campaign.
 
     Attributes:
@@ -52,13 +52,10 @@ class CampaignConfig:
     runs_at_once: int = 1
     cache: str | None = None
     verbose: bool = False
+    ranges = (("num_workers", 0, 1024), ("runs_at_once threads", 1, 1024))
 
     def __post_init__(self) -> None:
-        check_types("", self)
-        check_range("num_workers", self.num_workers, 0, 1024)
-        check_range("runs_at_once", self.runs_at_once, 1, 1024)
-        if self.threads is not None:
-            check_range("threads", self.threads, 1, 1024)
+        super().__post_init__()
         make_absolute(self, "out", "dataset", "cache")
 
 

@@ -15,7 +15,7 @@ import yaml
 from izoo.conf.evaluate_options import check_policy
 from izoo.conf.mapping import from_mapping
 from izoo.envs import SIMULATORS
-from izoo.errors import IzooError, check_choice, check_range, unknown_choice
+from izoo.errors import CheckedOptions, IzooError, check_choice, unknown_choice
 from izoo.files import expanded, read_text
 from izoo.report.plots import UNTRAINED
 from izoo.zoo import catalog
@@ -27,7 +27,7 @@ Kind = Literal["trained", "untrained", "scripted", "planner"]
 
 
 @dataclass(frozen=True)
-class Entry:
+class Entry(CheckedOptions):
     """What is compared: an algorithm that is trained, or a policy that is there.
 
     Attributes:
@@ -54,7 +54,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Part:
+class Part(CheckedOptions):
     """A task, and the entries that are compared on it.
 
     Attributes:
@@ -89,8 +89,10 @@ class Part:
     cv_vehicle: str | None = None
     tradeoff: bool = False
 
+    ranges = (("seeds", 1, 1000),)
+
     def __post_init__(self) -> None:
-        check_range("seeds", self.seeds, 1, 1000)
+        super().__post_init__()
         for name in self.simulators:
             check_choice("simulators", name, SIMULATORS)
 

@@ -25,7 +25,7 @@ from izoo.cli.compose import compose_config
 from izoo.conf.mapping import from_mapping
 from izoo.conf.quoting import written
 from izoo.conf.train_options import TrainConfig
-from izoo.contexts.context import Context
+from izoo.contexts.source import ContextList
 from izoo.cores import usable_cores
 from izoo.envs import REFERENCE, SIMULATORS
 from izoo.envs.config import EnvConfig
@@ -76,7 +76,8 @@ class PartRun:
     def __init__(self, experiment: Experiment, name: str, folder: Path, machine: CampaignConfig) -> None:
         self.name, self.folder, self.machine = name, folder / name, machine
         self.experiment = experiment
-        self.part, self.entries = experiment.parts[name], experiment.entries_of(name)
+        self.part = experiment.parts[name]
+        self.entries = {each: ("scripted", Entry(policy=each)) for each in BASELINES} | experiment.entries_of(name)
         self.task = self._task()
         self.tests = {self.task.name: self.task.test_set(self.part.contexts)}
         if self.part.training_contexts:
@@ -122,7 +123,7 @@ class PartRun:
 
     def env(self, name: str) -> EnvConfig:
         """Return the environment of an entry's tests: its own, with episodes as the task has them."""
-        kind, entry = self.entries.get(name, ("scripted", Entry(policy=name)))
+        kind, entry = self.entries[name]
         shipped = catalog.named(entry.policy or "")
         if kind in ("trained", "untrained"):
             own = self.configs[name, 0].env
@@ -141,7 +142,7 @@ class PartRun:
 
     def jobs(self) -> list[Job]:
         """Return all jobs, seed by seed, so that a part that is not finished already compares every entry."""
-        found = [Job("test", name, 0, simulator) for name in BASELINES for simulator in self.part.simulators]
+        found = []
         for seed in range(max((seed + 1 for _, seed in self.configs), default=1)):
             for name, (kind, _) in self.entries.items():
                 if seed and (name, seed) not in self.configs:
@@ -198,35 +199,32 @@ class PartRun:
                 yield other.entry, other.seed
 
     def _is_done(self, job: Job) -> bool:
-        trained = self.entries.get(job.entry, ("", None))[0] == "trained"
+        trained = self.entries[job.entry][0] == "trained"
         if trained and not self.runs.is_trained((job.entry, job.seed)):
             return False
         if job.kind == "train":
             return True
-        if job.entry in self.entries and (self.store.done or trained):
+        if self.store.done or trained:
             self._admit(job)
         return self._is_there(job)
 
     def _admit(self, job: Job) -> Any:
         """Tell the store which weights are tested, which drops rows of others, and return the policy."""
-        kind, entry = self.entries.get(job.entry, ("scripted", Entry(policy=job.entry)))
+        kind, entry = self.entries[job.entry]
         env, known = self.env(job.entry), {}  # type: EnvConfig, dict[str, Any]
         given: Any = entry.policy
-        if kind in ("trained", "untrained"):
+        if kind == "trained":
+            run_dir = self.runs.run_dir((job.entry, job.seed))
+            path = (checkpoint.best_of(run_dir) if entry.select == "best" else None) or checkpoint.find(run_dir)
+            given, known = str(path), {"source": os.path.relpath(path, self.folder)}
+        elif kind == "untrained":
             config = self.configs[job.entry, job.seed]
-            known = {"kind": kind, "algo": config.algo.name}
-            if kind == "trained":
-                run_dir = self.runs.run_dir((job.entry, job.seed))
-                path = (checkpoint.best_of(run_dir) if entry.select == "best" else None) or checkpoint.find(run_dir)
-                given = run_folder.load_policy(path)
-                known |= {"source": os.path.relpath(path, self.folder), "frames": checkpoint.frames_of(path)}
-            else:
-                given = untrained(config)
+            given, known = untrained(config), {"kind": kind, "algo": config.algo.name}
         elif kind == "planner":
             given, known = planner.Planning(self._planner(entry)), {"source": self._planner(entry).source}
         elif entry.glide:
             given = Glide(env, from_mapping(GlideConfig, entry.glide))
-        named = as_policy(given, env, job.entry)
+        named = (run_folder.any_policy if isinstance(given, str) else as_policy)(given, env, job.entry)
         self.store.admit({(job.entry, job.seed): dataclasses.replace(named.record, **known)})
         return named.policy
 
@@ -235,7 +233,7 @@ class PartRun:
         options: dict[str, Any] = {"workers": self.machine.num_workers, "cache": self.machine.cache}
         if SIMULATORS[job.simulator].batched:
             options["workers"] = self.machine.threads or usable_cores()
-        if self.entries.get(job.entry, ("", None))[0] == "planner":
+        if self.entries[job.entry][0] == "planner":
             options |= {"record": ("team_reward",), "side_by_side": planner.AT_ONCE}
         for task, plays in self._plays(job).items():
             policies: Any = {} if job.entry in BASELINES else {(job.entry, job.seed): policy}
@@ -243,7 +241,7 @@ class PartRun:
 
     def _plays(self, job: Job) -> dict[str, list[Play]]:
         """Return what a job plays, by task: every training seed plays episodes of its own, what was not trained all."""
-        kind, entry = self.entries.get(job.entry, ("scripted", Entry()))
+        kind, entry = self.entries[job.entry]
         each, seeds = self.task.test_episodes, max((seed + 1 for _, seed in self.configs), default=1)
         if job.simulator == REFERENCE and self.part.sumo_seeds is not None:
             seeds = min(seeds, self.part.sumo_seeds)
@@ -253,15 +251,12 @@ class PartRun:
         return {
             task: [
                 Play(job.entry, job.seed, context, drawn.of(context)[number])
-                for context in self._contexts(entry, contexts)
+                for context in (contexts if entry.contexts is None else limited(ContextList(contexts), entry.contexts))
                 for number in numbers
             ]
             for task, contexts in self.tests.items()
             if kind != "planner" or not task.endswith(TRAINING)
         }
-
-    def _contexts(self, entry: Entry, contexts: list[Context]) -> list[Context]:
-        return contexts if entry.contexts is None else limited(contexts, entry.contexts)  # type: ignore[arg-type]
 
 
 def reads_folder(task: str) -> bool:

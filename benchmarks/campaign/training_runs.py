@@ -69,6 +69,8 @@ class TrainingRuns:
             {name: value for name, value in to_mapping(config).items() if name not in NOT_THE_RUN}
             for config in (run_folder.read_config(self.run_dir(key)), self.wanted[key])
         )
+        for part in (*run_folder.with_drivers(stored), *run_folder.with_drivers(mine)):
+            part["drivers"] = Path(part["drivers"]).read_text()  # a run keeps a copy
         check_same(stored, mine, f"{self.run_dir(key)} was trained")
         return self.is_finished(key)
 

@@ -18,7 +18,7 @@ import torch
 
 from izoo.algos.learners.ppo import PPOConfig
 from izoo.benchmarks.timing.clocks import Timed, timed
-from izoo.conf.train_options import CollectorConfig, TrainConfig, TrainingTwinConfig
+from izoo.conf.train_options import TrainConfig, TrainingTwinConfig
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import EASY, ProceduralSource, procedural_context
 from izoo.contexts.source import episode_seed
@@ -95,7 +95,7 @@ def one_on_sumo(context: Context, seconds: float) -> Row:
 def workers_on_sumo(context: Context, seconds: float, collector: str, workers: int) -> Row:
     """Environments on SUMO in processes, batches collected as training does with an untrained PPO policy."""
     length = 100
-    options: dict[str, Any] = {"collector": CollectorConfig(name=collector), "num_workers": workers}  # type: ignore[arg-type]
+    options: dict[str, Any] = {"collector": collector, "num_workers": workers}
     config = TrainConfig(
         algo=PPOConfig(frames_per_batch=workers * length), env=settings(emit=()), simulator="sumo", **options
     )

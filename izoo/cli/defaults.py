@@ -7,42 +7,41 @@ from collections.abc import Mapping
 from typing import Any
 
 from izoo import tasks, zoo
+from izoo.algos.learners.registry import DRIVER_NAMES
 from izoo.conf.mapping import to_mapping
-from izoo.conf.train_options import CHANGEABLE, TrainConfig
-from izoo.envs.config import BY_STEP
-from izoo.errors import IzooError
+from izoo.conf.train_options import TrainConfig
+from izoo.envs.config import BY_STEP, EnvConfig
 from izoo.files import expanded
 from izoo.zoo import catalog
 
 
 def of_run(named: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options of the run that ``resume`` names.
-
-    Raises:
-        IzooError: there is none, or an option is given that belongs to what the run is.
-    """
+    """Return the options of the run that ``resume`` names; raises :class:`IzooError` where there is none."""
     if named.get("resume") is None:
         return {}
-    for name in sorted(named):
-        if name.split(".")[0] not in CHANGEABLE:
-            raise IzooError(
-                f"a resumed run keeps its own options, so {name} cannot be given with resume; "
-                f"only these can: {', '.join(CHANGEABLE)}."
-            )
     from izoo.training import run_folder
 
-    config = run_folder.resumed(expanded(str(named["resume"])).absolute())
-    return {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
+    return vars(run_folder.resumed(expanded(str(named["resume"])).absolute()))
 
 
 def of_policies(named: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the environment of the policies that ship, or were exported, among those that are named.
-
-    ``env.emit`` stays the command's.
-    """
-    policies = named.get("policies", [named.get("policy", "")])
-    found = [zoo.load(name).env for policy in policies if (name := catalog.named(str(policy)))]
+    """Return the environment of the last trained policy that is named; ``env.emit`` stays the command's."""
+    found = list(filter(None, map(trained_env, named.get("policies", [named.get("policy")]))))
     return {"env": {name: value for name, value in to_mapping(found[-1]).items() if name != "emit"}} if found else {}
+
+
+def trained_env(policy: Any) -> EnvConfig | None:
+    """Return the environment of a policy that ships, was exported, or is that of a run, with full episodes."""
+    name = str(policy or "")
+    if not name or name in DRIVER_NAMES:
+        return None
+    if shipped := catalog.named(name):
+        return zoo.load(shipped).env
+    if not expanded(name).exists():
+        return None
+    from izoo.training import checkpoint, run_folder
+
+    return zoo.full_episodes(run_folder.read_config(checkpoint.run_of(checkpoint.find(expanded(name)))).env)
 
 
 def of_evaluation(named: Mapping[str, Any]) -> dict[str, Any]:
@@ -64,10 +63,10 @@ def of_evaluation(named: Mapping[str, Any]) -> dict[str, Any]:
             env = dataclasses.replace(env, horizon_s=task.env.horizon_s, warmup_s=task.env.warmup_s)
             found = {"contexts": task.test, "num_contexts": task.test_contexts, "seeds": task.test_episodes}
             found["task"] = trained.task
-    elif name := catalog.named(str(named.get("policy"))):
-        env = zoo.load(name).env
-    else:  # drivers that are written by hand command accelerations
+    elif (own_env := trained_env(named.get("policy"))) is None:  # drivers written by hand command accelerations
         return {"env": {**BY_STEP, "hold_s": None}}
+    else:
+        env = own_env
     from izoo.results.store import own_settings
 
     own = own_settings(env) if has_task else set(to_mapping(env)) - {"emit", "drain_s"}

@@ -6,57 +6,39 @@ import contextlib
 import hashlib
 import json
 from collections.abc import Sequence, Sized
-from dataclasses import dataclass
 from pathlib import Path
 
-from izoo import tasks, zoo
-from izoo.conf.context_choices import ContextsConfig
+from izoo import tasks
 from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.conf.mapping import to_mapping
 from izoo.conf.quoting import written
 from izoo.console import counted
 from izoo.contexts.context import Context
 from izoo.envs import REFERENCE, simulator_of
-from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
 from izoo.metrics.summary import summarise
 from izoo.report.leaderboard import write_entries
 from izoo.report.tables import print_summary
-from izoo.results.playing import Policy
-from izoo.results.policies import as_policy
+from izoo.results.policies import NamedPolicy
 from izoo.results.rollout import evaluate_policy
 from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
-from izoo.results.store import PolicyRecord, read_table
+from izoo.results.store import read_table
 from izoo.training import checkpoint, run_folder
-from izoo.training.final_evaluation import EVALUATIONS
-
-
-@dataclass(frozen=True)
-class Subject:
-    """What is evaluated, and on what: resolved options."""
-
-    name: str
-    policy: Policy
-    contexts: ContextsConfig
-    env: EnvConfig
-    folder: Path
-    record: PolicyRecord
-    train_seed: int = 0
 
 
 def evaluate(config: EvaluateConfig) -> Path:
     """Evaluate as ``config`` says, print the summary, and return the results folder."""
-    subject = resolve(config)
-    source = subject.contexts.build()
+    subject, folder = resolve(config)
+    source = config.contexts.build()
     if config.task is None:
         contexts = choose_contexts(source, config.num_contexts, config.seed)
         seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
     else:
         contexts = tasks.limited(source, config.num_contexts)
         seeds = EpisodeSeeds(tasks.TEST_SEED + config.seed, config.seeds)
-    out = Path(config.out) if config.out else subject.folder / EVALUATIONS / _label(subject, config, contexts)
+    out = Path(config.out) if config.out else folder / run_folder.EVALUATIONS / _label(config, contexts)
     where = f" on {simulator_of(config.simulator).label}"
-    what = f"{_task(config)}, {describe(contexts, seeds, subject.env)}"
+    what = f"{_task(config)}, {describe(contexts, seeds, config.env)}"
     print(f"Evaluating {subject.name}{where}: {what}. Results: {out}", flush=True)
     size = len(source) if isinstance(source, Sized) else len(contexts)
     if size > len(contexts):
@@ -69,7 +51,7 @@ def evaluate(config: EvaluateConfig) -> Path:
         subject.policy,
         contexts,
         seeds,
-        subject.env,
+        config.env,
         name=subject.name,
         task=_task(config),
         train_seed=subject.train_seed,
@@ -90,8 +72,8 @@ def evaluate(config: EvaluateConfig) -> Path:
     return out
 
 
-def resolve(config: EvaluateConfig) -> Subject:
-    """Return what to evaluate.
+def resolve(config: EvaluateConfig) -> tuple[NamedPolicy, Path]:
+    """Return what to evaluate, and the folder that its evaluations lie in.
 
     Raises:
         IzooError: neither or both of ``run`` and ``policy``, or a run that observes something else than ``env`` says.
@@ -101,22 +83,11 @@ def resolve(config: EvaluateConfig) -> Subject:
     if (config.run is None) == (config.policy is None):
         raise IzooError("give one of run=RUN_DIR and policy=NAME; --help lists the policies.")
     if config.policy is not None:
-        shipped = zoo.named(config.policy)
-        name = zoo.load(shipped).name if shipped else config.policy.rpartition(":")[2]
-        found_policy = as_policy(config.policy, config.env, config.name or name)
-        return Subject(
-            found_policy.name, found_policy.policy, config.contexts, config.env, Path.cwd(), found_policy.record
-        )
+        return run_folder.any_policy(config.policy, config.env, config.name), Path.cwd()
     path = checkpoint.find(Path(config.run or ""), config.checkpoint)
     folder = checkpoint.run_of(path)
-    algorithm, trained, state = run_folder.load_algorithm(path)
-    zoo.check_fits(f"the policy of {folder}", trained.env, config.env)
-    run_folder.check_drivers(folder, trained, config.contexts)
     label = folder.name if [path] == checkpoint.listed(folder)[-1:] else f"{folder.name}-{path.stem}"
-    record = PolicyRecord("trained", None, str(path), trained.algo.name, state["frames"])
-    return Subject(
-        config.name or label, algorithm.policy.eval(), config.contexts, config.env, folder, record, trained.seed
-    )
+    return run_folder.any_policy(str(path), config.env, config.name or label), folder
 
 
 def _task(config: EvaluateConfig) -> str:
@@ -133,9 +104,9 @@ def _task(config: EvaluateConfig) -> str:
     return ", ".join([task.name, *(f"{key}={written(value)}" for key, value in changed.items())])
 
 
-def _label(subject: Subject, config: EvaluateConfig, contexts: Sequence[Context]) -> str:
+def _label(config: EvaluateConfig, contexts: Sequence[Context]) -> str:
     """Name a folder after what decides its content, so that the same command goes on where it stopped."""
     played = [context.content_hash for context in contexts]  # what lies in a folder of contexts may change
-    parts = [to_mapping(subject.contexts), to_mapping(subject.env), config.num_contexts, config.seed, played]
+    parts = [to_mapping(config.contexts), to_mapping(config.env), config.num_contexts, config.seed, played]
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:8]
-    return f"{subject.contexts.name}-{digest}" + ("" if config.simulator == REFERENCE else f"-{config.simulator}")
+    return f"{config.contexts.name}-{digest}" + ("" if config.simulator == REFERENCE else f"-{config.simulator}")

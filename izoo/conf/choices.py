@@ -10,7 +10,7 @@ from izoo.algos.actions.action_modes import ActionConfig
 from izoo.algos.learners import registry
 from izoo.conf.context_choices import ContextsConfig, OwnContexts, PcgContexts
 from izoo.conf.mapping import field_types
-from izoo.conf.train_options import CollectorConfig, LoggerConfig
+from izoo.conf.train_options import LoggerConfig
 from izoo.envs.config import RewardConfig
 from izoo.envs.mdp.reward import PRESETS
 from izoo.errors import unknown_choice
@@ -36,7 +36,6 @@ def groups() -> dict[str, Choices]:
             "pcg_easy": functools.partial(PcgContexts, preset="easy"),
             "systematicity_test": functools.partial(PcgContexts, preset="systematicity_grid"),
         },
-        "collector": _by_name(CollectorConfig),
         "logger": _by_name(LoggerConfig),
         "env.reward": {name: getattr(RewardConfig, name) for name in PRESETS},
     }

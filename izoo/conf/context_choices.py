@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 from izoo.conf.built_in import CatalogueContexts, CityContexts
-from izoo.conf.folders import DatasetContexts, FolderContexts, OsmContexts
+from izoo.conf.folders import DatasetContexts, OsmContexts
 from izoo.conf.own_traffic import SourceConfig
 from izoo.contexts.distributions import Box, Choice, Key, Uniform, as_distribution
 from izoo.contexts.procedural import (
@@ -122,20 +122,13 @@ class MixedContexts:
     name: Literal["mixed"] = "mixed"
     sources: list[SingleContextsConfig] = field(default_factory=list)
 
-    def check(self) -> None:
-        """Raise :class:`IzooError` where there are fewer than two sources, or a folder is missing; reads nothing."""
+    def build(self) -> ContextSource:
+        """Return the mixture; raises :class:`IzooError` where there are too few sources, or one cannot be built."""
         if len(self.sources) < 2:
             raise IzooError(
                 f"contexts.sources has {len(self.sources)} entries; contexts=mixed needs two or more, like "
                 "[{name:dataset,path:DIR,split:train},{name:city,city:atlanta,split:train}]."
             )
-        for source in self.sources:
-            if isinstance(source, FolderContexts):
-                source.check()
-
-    def build(self) -> ContextSource:
-        """Return the mixture; raises :class:`IzooError` where one of its sources cannot be built."""
-        self.check()
         return MixedSource([source.build() for source in self.sources])
 
 

@@ -1,22 +1,21 @@
 """Turns composed options (plain mappings) into frozen dataclasses and back.
 
-What an option may be is checked by its dataclass; here plain values become what its fields hold: tuples, whole numbers,
-and the dataclass that a group's ``name`` chooses.
+A dataclass checks and converts its values (:class:`izoo.errors.CheckedOptions`); here a group of options becomes the
+dataclass that its ``name`` chooses.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
 import types
 import typing
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin
+from collections.abc import Mapping
+from typing import Any, TypeVar, get_args, get_origin
 
 from omegaconf import OmegaConf
 
 from izoo.algos.learners.registry import AlgoConfig, options_class
-from izoo.errors import IzooError, plain_number, unknown_choice
+from izoo.errors import IzooError, unknown_choice
 
 T = TypeVar("T")
 
@@ -66,45 +65,21 @@ def _join(path: str, key: str) -> str:
 
 
 def _convert(kind: Any, value: Any, path: str) -> Any:
-    """Return ``value`` as ``kind`` where it can be; else as it is, for the dataclass to refuse."""
-    origin, args = get_origin(kind), get_args(kind)
-    if origin in (Union, types.UnionType):
-        return _convert_union(args, value, path)
-    if dataclasses.is_dataclass(kind):
-        if not isinstance(value, Mapping):
-            raise IzooError(f"{path} is {value!r}; it is a group of options: {', '.join(field_types(kind))}.")
-        group: Any = options_class(str(value.get("name"))) if kind is AlgoConfig else kind
-        return from_mapping(group, value, path)
-    if origin in (tuple, list) and isinstance(value, (tuple, list)):
-        return origin(_convert(args[0], item, f"{path}[{index}]") for index, item in enumerate(value))
-    value = plain_number(value)
-    number = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-    if number and (kind in (float, str) or (kind is int and value == int(value))):
-        return kind(value)
-    return value
-
-
-def _convert_union(kinds: Sequence[Any], value: Any, path: str) -> Any:
-    """Return ``value`` as the first of ``kinds`` that it can be; among groups of options, as the one of its name."""
-    groups: list[Any] = [kind for kind in kinds if dataclasses.is_dataclass(kind)]
-    if groups and isinstance(value, Mapping):
-        name, names = value.get("name"), {field_types(kind)["name"]: kind for kind in groups}
-        for declared, kind in names.items():
-            if name in get_args(declared) or (declared is str and ":" in str(name)):
-                return from_mapping(kind, value, path)
-        raise unknown_choice(
-            _join(path, "name"), name, [get_args(declared)[0] for declared in names if declared is not str]
-        )
-    for kind in kinds:
-        converted = _convert(kind, value, path)
-        if _is(converted, kind):
-            return converted
-    return value
-
-
-def _is(value: Any, kind: Any) -> bool:
-    if kind is Any:
-        return True
-    if get_origin(kind) is Literal:
-        return value in get_args(kind)
-    return type(value) is (get_origin(kind) or kind)
+    """Return a mapping as the group of options that its ``name`` chooses, also in a list; other values as they are."""
+    groups: list[Any] = [part for part in (kind, *get_args(kind)) if dataclasses.is_dataclass(part)]
+    if get_origin(kind) is list and isinstance(value, list) and isinstance(get_args(kind)[0], types.UnionType):
+        return [_convert(get_args(kind)[0], item, f"{path}[{index}]") for index, item in enumerate(value)]
+    if not groups:
+        return value
+    if not isinstance(value, Mapping):
+        raise IzooError(f"{path} is {value!r}; it is a group of options: {', '.join(field_types(groups[0]))}.")
+    name = value.get("name")
+    if groups == [AlgoConfig]:
+        return from_mapping(options_class(str(name)), value, path)
+    if len(groups) == 1:
+        return from_mapping(groups[0], value, path)
+    names = [(field_types(group)["name"], group) for group in groups]
+    for declared, group in names:
+        if name in get_args(declared) or (declared is str and ":" in str(name)):
+            return from_mapping(group, value, path)
+    raise unknown_choice(_join(path, "name"), name, [get_args(kind)[0] for kind, _ in names if kind is not str])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from izoo.contexts.context import checked_fleet
@@ -52,9 +51,3 @@ class SourceConfig(CheckedOptions):
     def source(self) -> ContextSource:
         """Return the contexts with the built-in drivers and fleet."""
         raise NotImplementedError
-
-
-def driver_files(config: Any) -> list[Path]:
-    """Return the files of drivers that a choice of contexts names, once each; a mixture may name several."""
-    named = (getattr(each, "drivers", None) for each in (config, *getattr(config, "sources", ())))
-    return list(dict.fromkeys(Path(path) for path in named if path is not None))

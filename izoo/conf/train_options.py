@@ -27,20 +27,6 @@ CHANGEABLE = (
 
 
 @dataclass(frozen=True)
-class CollectorConfig(CheckedOptions):
-    """How environments are stepped.
-
-    Attributes:
-        name: ``parallel``: worker processes step together, the policy runs in this process; ``multisync``: one process
-            per environment runs the policy as well; ``single``: one environment, in this process; ``ray``: as
-            ``multisync``, over the machines of a Ray cluster (the one that RAY_ADDRESS names, or else this machine).
-    """
-
-    name: Literal["parallel", "single", "multisync", "ray"] = "parallel"
-    group = "collector"
-
-
-@dataclass(frozen=True)
 class TwinConfig(CheckedOptions):
     """How the twin runs; of no concern on SUMO.
 
@@ -225,7 +211,10 @@ class TrainConfig(RolloutConfig):
         contexts: which contexts episodes are drawn from.
         levels: which of these are played.
         env: the environment.
-        collector: how environments are stepped.
+        collector: how environments are stepped. ``parallel``: worker processes step together, the policy runs in this
+            process; ``multisync``: one process per environment runs the policy as well; ``single``: one environment,
+            in this process; ``ray``: as ``multisync``, over the machines of a Ray cluster (the one that RAY_ADDRESS
+            names, or else this machine). On the twin it is ``parallel``.
         logger: where metrics go besides the CSV.
         checkpoint: when the run's state is saved.
         validation: the comparison that goes on beside training, and chooses the best weights.
@@ -253,7 +242,7 @@ class TrainConfig(RolloutConfig):
     contexts: ContextsConfig = field(default_factory=CityContexts)
     levels: LevelsConfig = field(default_factory=LevelsConfig)
     env: EnvConfig = field(default_factory=training_env)
-    collector: CollectorConfig = field(default_factory=CollectorConfig)
+    collector: Literal["parallel", "single", "multisync", "ray"] = "parallel"
     logger: LoggerConfig = field(default_factory=LoggerConfig)
     checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
     validation: ValidationConfig = field(default_factory=ValidationConfig)
@@ -271,9 +260,9 @@ class TrainConfig(RolloutConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         simulator = simulator_of(self.simulator)
-        if simulator.batched and self.collector.name != "parallel":
+        if simulator.batched and self.collector != "parallel":
             raise IzooError(
-                f"collector={self.collector.name} is a way to step environments in processes; with simulator="
+                f"collector={self.collector} is a way to step environments in processes; with simulator="
                 f"{self.simulator} leave collector out, and set num_envs."
             )
         self._fit_action()
@@ -292,7 +281,7 @@ class TrainConfig(RolloutConfig):
     @property
     def environments(self) -> int:
         """How many environments are stepped side by side."""
-        return 1 if self.collector.name == "single" else super().environments
+        return 1 if self.collector == "single" else super().environments
 
     @property
     def batch_frames(self) -> int:
@@ -333,7 +322,6 @@ class CollectConfig(RolloutConfig):
         out: a new or empty folder for the data.
         contexts: which contexts episodes are drawn from.
         env: the environment, and with ``env.emit`` what is stored besides the agents.
-        shard_frames: most steps per shard, a set of memory-mapped files.
         twin: how the twin runs.
     """
 
@@ -342,9 +330,8 @@ class CollectConfig(RolloutConfig):
     out: str | None = None
     contexts: ContextsConfig = field(default_factory=PcgContexts)
     env: EnvConfig = field(default_factory=training_env)
-    shard_frames: int = 100_000
     twin: TwinConfig = field(default_factory=TwinConfig)
-    ranges = (("frames", 1, 10**12), ("shard_frames", 1, 10**9))
+    ranges = (("frames", 1, 10**12),)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -29,6 +29,7 @@ from izoo.results.playing import Policy, run_episode
 from izoo.results.policies import as_policy, weights_hash
 from izoo.results.store import PolicyRecord, read_contexts
 from izoo.training import checkpoint, run_folder
+from izoo.zoo.catalog import WEIGHTS
 
 FOLDER = "replays"
 FORMAT = 4
@@ -194,20 +195,17 @@ class Player:
         folder, source = scene.evaluation.folder.resolve(), scene.record.source
         trained = folder / TRAIN_FOLDER / scene.policy / f"seed{scene.train_seed}"
         run = scene.evaluation.run or (trained if trained.is_dir() else None)
-        places = [folder / source] if source and source.endswith(".pt") else []
-        places += checkpoint.listed(run)[::-1] if run is not None else []
-        if source and not places:
-            if ":" in source and not zoo.named(source) and not self._imports:
-                raise IzooError(f"the policy is the code {source}; imports=true allows to import it.")
-            yield as_policy(source, config).policy
-            return
-        if not places:
+        sources = [str(folder / source) if source.endswith(WEIGHTS) else source] if source else []
+        sources += map(str, checkpoint.listed(run)[::-1] if run is not None else ())
+        if not sources:
             raise IzooError(f"the folder does not say what the policy {scene.policy} was made from.")
-        there = [path for path in places if path.is_file()]
+        there = [each for each in sources if not each.endswith(WEIGHTS) or Path(each).is_file()]
         if not there:
-            raise IzooError(f"the checkpoint {places[0]} is gone.")
-        for path in there:
-            if not self._imports and not zoo.named(str(path)):
-                run_folder.read_config(checkpoint.run_of(path), imports=False)
-            exported = zoo.named(str(path))
-            yield zoo.load(exported).policy if exported else run_folder.load_algorithm(path)[0].policy.eval()
+            raise IzooError(f"the checkpoint {sources[0]} is gone.")
+        for each in there:
+            if not self._imports and not zoo.named(each):
+                if ":" in each and not each.endswith(WEIGHTS):
+                    raise IzooError(f"the policy is the code {each}; imports=true allows to import it.")
+                if each.endswith(WEIGHTS):
+                    run_folder.read_config(checkpoint.run_of(Path(each)), imports=False)
+            yield run_folder.any_policy(each, config).policy

@@ -20,10 +20,10 @@ from izoo.report.tables import ranking
 from izoo.results.schema import FEATURES
 from izoo.results.store import MANIFEST_FILE, ROWS_FILE, Manifest, read_manifest, read_table
 from izoo.training.loggers import MetricsTable
-from izoo.training.run_folder import CONFIG_FILE, METRICS_FILE
+from izoo.training.run_folder import CONFIG_FILE, EVALUATIONS, METRICS_FILE
 from izoo.training.validation import VALIDATION_FILE
 
-EVALUATIONS, TRAIN_FOLDER = "evaluations", "train"
+TRAIN_FOLDER = "train"
 Curves = dict[str, list[tuple[MetricsTable, MetricsTable | None]]]
 
 

@@ -16,7 +16,6 @@ from izoo.files import check_folder, write_text
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import UNCOMMANDED
 from izoo.metrics.summary import summarise
-from izoo.report.report_data import EVALUATIONS
 from izoo.report.tables import SAVED, Cell, Table, compared
 from izoo.results.store import MANIFEST_FILE, ROWS_FILE, flat, read_table
 from izoo.training import plots, run_folder
@@ -24,7 +23,6 @@ from izoo.training.loggers import MetricsTable
 from izoo.training.validation import VALIDATION_FILE
 
 SWEEP_FILE, RUNS_FILE, CURVES_FILE = "sweep.csv", "sweep_runs.csv", "sweep.png"
-LAST_EVALUATION = f"{EVALUATIONS}/last"
 NOT_OPTIONS = ("seed", "run_dir", "resume")
 """Options in which repetitions of the same choice differ."""
 MEASURE = FIGURES[SAVED]
@@ -141,7 +139,7 @@ def _shown(choices: pd.DataFrame, names: Sequence[str]) -> Table:
 def _evaluated(run_dir: Path) -> float | None:
     """Return what the evaluation that ended the run found, where there is one."""
     try:
-        summary = summarise(read_table(run_dir / LAST_EVALUATION))
+        summary = summarise(read_table(run_dir / run_folder.EVALUATIONS / run_folder.LAST))
     except IzooError:
         return None
     found = [summary["entries"][name]["against"].get(UNCOMMANDED, {}) for name in compared(summary)]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import hashlib
 import inspect
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cloudpickle
@@ -18,28 +18,33 @@ from izoo.algos.drivers.uncommanded import UncommandedDriver
 from izoo.algos.learners.registry import cap_share
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError, unknown_choice
-from izoo.files import expanded
 from izoo.imports import imported
 from izoo.metrics.pairing import BASELINES
 from izoo.results.playing import Policy
 from izoo.results.store import PolicyRecord, own_settings
-from izoo.zoo.catalog import WEIGHTS
+from izoo.zoo import catalog
 
 
 class NamedPolicy(NamedTuple):
-    """A policy, its name in tables, and what a manifest says of it."""
+    """A policy, its name in tables, what a manifest says of it, and which training seed it is of."""
 
     name: str
     policy: Policy
     record: PolicyRecord
+    train_seed: int = 0
 
 
 def as_policy(policy: str | Policy, config: EnvConfig, name: str | None = None) -> NamedPolicy:
-    """Return the policy that ``policy`` means: a driver's name, ``zoo:NAME``, the path of a file ``NAME.pt`` that
-    ``python -m izoo.zoo export`` wrote, ``module:function``, or the policy itself.
+    """Return the policy that ``policy`` means, ready to act.
+
+    Args:
+        policy: a driver's name, ``zoo:NAME``, the path of a file ``NAME.pt`` that ``python -m izoo.zoo export`` wrote,
+            ``module:function``, or the policy itself (:func:`izoo.training.run_folder.any_policy`: or a run).
+        config: the environment in which it is to act.
+        name: in tables; ``None``: its own.
 
     Raises:
-        IzooError: no such driver, policy or function.
+        IzooError: there is no such policy, or it was trained on other observations or decisions.
     """
     own = own_settings(config)
     if not isinstance(policy, str):
@@ -50,21 +55,19 @@ def as_policy(policy: str | Policy, config: EnvConfig, name: str | None = None) 
             raise IzooError(f"{name!r} is the name of a baseline; give the policy another name.")
         weights = weights_hash(policy)
         return NamedPolicy(name, policy, PolicyRecord("trained" if weights else "scripted", weights, env=own))
-    shipped = zoo.named(policy)
-    if shipped:
+    if policy in DRIVERS or cap_share(policy) is not None:
+        record = PolicyRecord(source=policy, env=None if policy in BASELINES else own)
+        return NamedPolicy(name or policy, make_driver(policy, config), record)
+    if shipped := zoo.named(policy):
         trained = zoo.load(shipped)
         zoo.check_fits(f"the policy {trained.name}", trained.env, config)
-        source = str(expanded(policy).absolute()) if Path(policy).suffix == WEIGHTS else policy
-        record = PolicyRecord("trained", weights_hash(trained.policy), source, trained.algo.name, env=own)
-        return NamedPolicy(name or trained.name, trained.policy, record)
-    zoo.check_exported(policy)
-    if ":" in policy:
-        found = as_policy(import_policy(policy), config, name or policy.rpartition(":")[2])
-        return found._replace(record=PolicyRecord(found.record.kind, found.record.weights, policy, env=own))
-    if policy not in DRIVERS and cap_share(policy) is None:
+        named = as_policy(trained.policy, config, name or trained.name)
+        source = catalog.absolute(policy)
+        return named._replace(record=dataclasses.replace(named.record, source=source, algo=trained.algo.name))
+    if ":" not in policy:
         raise unknown_choice("policy", policy, [*DRIVERS, "cap_SHARE", "zoo:NAME", "FILE.pt", "module:function"])
-    record = PolicyRecord(source=policy, env=None if policy in BASELINES else own)
-    return NamedPolicy(name or policy, make_driver(policy, config), record)
+    named = as_policy(import_policy(policy), config, name or policy.rpartition(":")[2])
+    return named._replace(record=dataclasses.replace(named.record, source=policy))
 
 
 def import_policy(reference: str) -> Policy:

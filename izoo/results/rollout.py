@@ -8,7 +8,6 @@ import importlib
 import itertools
 import os
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence, Sized
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -111,7 +110,7 @@ def rollout(
     player = getattr(importlib.import_module(module), name)(setup)
     total = len(plays) if isinstance(plays, Sized) else 0
     bar = Progress(total, unit="episodes", shown=progress)
-    return _Rollout(setup, task, EpisodeCache(cache, setup), player).stream(plays, bar)
+    return _stream(plays, setup, task, EpisodeCache(cache, setup), player, bar)
 
 
 def executor_for(simulator: str, policies: Mapping[Key, Policy], executor: str | None = None) -> str:
@@ -263,78 +262,54 @@ def _record(seen: PolicyRecord, given: PolicyRecord | None, out: Path | str | No
     return dataclasses.replace(record, source=source)
 
 
-@dataclass
-class _Block:
-    """A part of the plays: what the cache has of it, and what is to be played, each for one or more plays."""
+def _stream(
+    plays: Iterable[Play], setup: Setup, task: str, cache: EpisodeCache, player: Any, bar: Progress
+) -> Generator[Played, None, None]:
+    """Play block after block, and yield what was played; the next block is looked up before one is played."""
 
-    kept: list[Played] = field(default_factory=list)
-    todo: list[Play] = field(default_factory=list)
-    waiting: dict[tuple[Any, ...], list[Play]] = field(default_factory=dict)
+    def complete(play: Play, found: Measured) -> Played:
+        whose = play.policy, play.train_seed, setup.simulator
+        rows = [{**identity(*whose, play.context, play.seed, row["approach"], task), **row} for row in found.rows]
+        return Played(play, rows, found.series)
 
-
-@dataclass
-class _Rollout:
-    """Plays block after block.
-
-    Attributes:
-        setup, task, cache: of :func:`rollout`.
-        player: the executor.
-    """
-
-    setup: Setup
-    task: str
-    cache: EpisodeCache
-    player: Any
-
-    def stream(self, plays: Iterable[Play], bar: Progress) -> Generator[Played, None, None]:
-        """Yield what was played; the next block is looked up before one is played."""
-        with bar, contextlib.closing(self.player):
-            blocks = map(self._look_up, self._parts(plays))
-            block, done = next(blocks, None), 0
-            while block is not None:
-                ahead = next(blocks, None)
-                for played in itertools.chain(block.kept, self._play(block, ahead)):
-                    yield played
-                    done += 1
-                    bar.update(done)
-                block = ahead
-
-    def _play(self, block: _Block, ahead: _Block | None) -> Iterator[Played]:
-        if not block.todo:
-            return
-        for played, found in self.player.play(block.todo, ahead.todo if ahead else []):
-            if played.policy in BASELINES:
-                self.cache.put(played.policy, played.context, played.seed, found)
-            for play in block.waiting[played.episode]:
-                yield self._played(play, found)
-
-    def _parts(self, plays: Iterable[Play]) -> Iterator[list[Play]]:
-        if self.player.size is None:
-            yield list(plays)
-            return
-        for _, own in itertools.groupby(plays, key=lambda play: (play.policy, play.train_seed)):
-            while part := list(itertools.islice(own, self.player.size)):
-                yield part
-
-    def _look_up(self, part: Sequence[Play]) -> _Block:
-        block = _Block()
+    def look_up(part: Sequence[Play]) -> tuple[list[Played], dict[tuple[Any, ...], tuple[Play, list[Play]]]]:
+        """Return what the cache has of a block, and by episode what is to be played and for which plays."""
+        kept: list[Played] = []
+        waiting: dict[tuple[Any, ...], tuple[Play, list[Play]]] = {}
         for play in part:
             context = baseline_context(play.context) if play.policy == HUMAN else play.context
-            if play.policy in BASELINES:
-                found = self.cache.get(play.policy, context, play.seed, self.setup.record)
-                if found is not None:
-                    block.kept.append(self._played(play, found))
-                    continue
-            # Contexts that differ only in what concerns CVs share their human episodes.
-            played = Play(play.policy, play.train_seed, context, play.seed)
-            if played.episode not in block.waiting:
-                block.todo.append(played)
-            block.waiting.setdefault(played.episode, []).append(play)
-        return block
+            found = cache.get(play.policy, context, play.seed, setup.record) if play.policy in BASELINES else None
+            if found is not None:
+                kept.append(complete(play, found))
+            else:  # contexts that differ only in what concerns CVs share their human episodes
+                played = dataclasses.replace(play, context=context)
+                waiting.setdefault(played.episode, (played, []))[1].append(play)
+        return kept, waiting
 
-    def _played(self, play: Play, found: Measured) -> Played:
-        rows = []
-        for row in found.rows:
-            whose = play.policy, play.train_seed, self.setup.simulator
-            rows.append({**identity(*whose, play.context, play.seed, row["approach"], self.task), **row})
-        return Played(play, rows, found.series)
+    with bar, contextlib.closing(player):
+        blocks = map(look_up, _parts(plays, player.size))
+        block, done = next(blocks, None), 0
+        while block is not None:
+            following = next(blocks, None)
+            (kept, waiting), ahead = block, following[1] if following else {}
+            for each in kept:
+                yield each
+                bar.update(done := done + 1)
+            todo, then = ([played for played, _ in part.values()] for part in (waiting, ahead))
+            for played, found in player.play(todo, then) if todo else ():
+                if played.policy in BASELINES:
+                    cache.put(played.policy, played.context, played.seed, found)
+                for play in waiting[played.episode][1]:
+                    yield complete(play, found)
+                    bar.update(done := done + 1)
+            block = following
+
+
+def _parts(plays: Iterable[Play], size: int | None) -> Iterator[list[Play]]:
+    """Yield the plays in blocks of one policy, or all at once."""
+    if size is None:
+        yield list(plays)
+        return
+    for _, own in itertools.groupby(plays, key=lambda play: (play.policy, play.train_seed)):
+        while part := list(itertools.islice(own, size)):
+            yield part

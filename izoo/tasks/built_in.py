@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Sequence
+from typing import Any
 
 from izoo.algos.actions.action_modes import DirectAction, SpeedAction
 from izoo.algos.learners import registry
@@ -137,19 +138,12 @@ def names() -> tuple[str, ...]:
     return tuple(tasks())
 
 
-def make(
-    name: str,
-    *,
-    adoption: float | None = None,
-    cv_vehicle: str | None = None,
-    decide: str | None = None,
-    path: str | None = None,
-) -> Task:
+def make(name: str, **conditions: Any) -> Task:
     """Return a task.
 
     Args:
         name: one of :func:`names`, or ``module:NAME`` of one's own.
-        adoption, cv_vehicle, decide, path: conditions that differ (:meth:`Task.changed`).
+        conditions: that differ: ``adoption``, ``cv_vehicle``, ``decide`` and ``path`` of :meth:`Task.changed`.
 
     Raises:
         IzooError: there is no such task.
@@ -162,4 +156,4 @@ def make(
         task = tasks()[name]
     else:
         raise unknown_choice("task", name, names())
-    return task.changed(adoption, cv_vehicle, decide, path)
+    return task.changed(**conditions)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import pickle
-import select
 import socket
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from izoo.envs import SIMULATORS, simulator_of
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.errors import UnfinishedError
-from izoo.processes import ChildProcess, receive, send
+from izoo.processes import ChildProcess, end_with_parent, receive, send
 from izoo.results.playing import Play, Series
 from izoo.results.rollout import rollout
 
@@ -108,21 +107,13 @@ def main(descriptor: int) -> None:
     os.nice(NICENESS)
     torch.set_num_threads(1)
     connection = socket.socket(fileno=descriptor)
-    threading.Thread(target=_end_with_parent, args=(descriptor,), daemon=True).start()
+    end_with_parent(descriptor)
     with contextlib.suppress(EOFError, OSError):
         simulator, options = pickle.loads(receive(connection))
         SIMULATORS[options["simulator"]] = simulator  # it may have been added by the parent's program
         while True:
             plays, record = pickle.loads(receive(connection))
             send(connection, pickle.dumps(_answer(plays, record, options)))
-
-
-def _end_with_parent(descriptor: int) -> None:
-    """End at once, in the middle of a block too, when the parent is gone."""
-    gone = select.poll()
-    gone.register(descriptor, 0)  # a hang-up is always told
-    gone.poll()
-    os._exit(1)
 
 
 def _answer(plays: Sequence[Play], record: Sequence[str], options: Mapping[str, Any]) -> list[Episode] | Exception:

@@ -22,7 +22,7 @@ from izoo.results import ray_cluster
 from izoo.training.batches_in_place import BatchesInPlace
 from izoo.training.command_replay import EpisodeHistory
 from izoo.training.environments import TrainingBatchEnv, TrainingEnv, random_phases, training_class
-from izoo.training.process_collector import ProcessCollector, process_collector, worker_envs
+from izoo.training.process_collector import ENDLESS, process_collector, worker_envs
 
 
 class BatchSource:
@@ -60,8 +60,8 @@ class BatchSource:
                 env = _side_by_side(config, schedule, left_at, keeps)
                 self.batched = BatchesInPlace(env, policy, frames // config.environments)
                 return
-            if config.collector.name in _APART:
-                self._collector = _APART[config.collector.name](config, policy, schedule, histories, frames)
+            if config.collector in _APART:
+                self._collector = _APART[config.collector](config, policy, schedule, histories, frames)
             else:
                 self._collector = in_process(_by_process(config, schedule, histories), policy, frames)
             self._batches: Iterator[TensorDictBase] = iter(self._collector)
@@ -75,9 +75,7 @@ class BatchSource:
 
     def synchronise(self, policy: TensorDictModuleBase) -> None:
         """Hand changed parameters to collectors that run the policy in other processes."""
-        if isinstance(self._collector, ProcessCollector):
-            self._collector.hand_over(policy)
-        elif self._collector is not None and not isinstance(self._collector, Collector):
+        if self._collector is not None and not isinstance(self._collector, Collector):
             self._collector.update_policy_weights_(policy)
 
     def environments(self) -> dict[str, Any]:
@@ -100,7 +98,7 @@ class BatchSource:
 def _by_process(config: TrainConfig, schedule: Schedule, histories: Sequence[EpisodeHistory]) -> EnvBase:
     """Return environments of which each is stepped in a process; one alone in this process."""
     options: dict[str, Any] = {"config": config.env, "seed": config.seed, "histories": histories}
-    if config.collector.name == "single":
+    if config.collector == "single":
         return TrainingEnv(schedule, simulator=config.simulator, **options)
     return training_class(config.simulator)(config.num_workers, contexts=schedule, shard=0, **options)
 
@@ -125,17 +123,7 @@ def _side_by_side(
 
 def in_process(env: EnvBase, policy: TensorDictModuleBase, frames: int) -> Collector:
     """Return a collector of ``frames`` steps per batch from an environment in this process."""
-    return Collector(
-        env,
-        policy,
-        frames_per_batch=frames,
-        total_frames=-1,
-        exploration_type=ExplorationType.RANDOM,
-        return_same_td=True,
-        track_traj_ids=False,
-        trust_policy=True,
-        auto_register_policy_transforms=False,
-    )
+    return Collector(env, policy, frames_per_batch=frames, return_same_td=True, track_traj_ids=False, **ENDLESS)
 
 
 def _ray_collector(

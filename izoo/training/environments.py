@@ -10,7 +10,6 @@ import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
@@ -34,13 +33,9 @@ class _Training(EcoDrivingBase):
 
     Args:
         histories: one per environment; the first reset plays them up to where they stood. None: episodes begin anew.
-
-    Attributes:
-        steps_taken: ``[1]``: counts the steps for a watchdog; ``None``: there is none.
     """
 
     leaves: tuple[str, ...] = (TOTALS,)
-    steps_taken: np.ndarray | None = None
 
     def __init__(self, *args: Any, histories: Sequence[command_replay.EpisodeHistory] = (), **options: Any) -> None:
         super().__init__(*args, **options)
@@ -51,13 +46,6 @@ class _Training(EcoDrivingBase):
             group = self.observation_spec["vehicles"]
             kept = {name: group[name] for name in fleet_features.COLUMNS}
             self.observation_spec["vehicles"] = Composite(kept, shape=group.shape)
-
-    def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
-        """Step as the environment does, and count it."""
-        stepped = super().step_and_maybe_reset(tensordict)
-        if self.steps_taken is not None:
-            self.steps_taken += 1
-        return stepped
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
         histories, self._histories = self._histories, ()

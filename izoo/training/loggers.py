@@ -9,11 +9,14 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from izoo.conf.train_options import LoggerConfig
 from izoo.errors import IzooError
 from izoo.files import reading, replacing
+
+if TYPE_CHECKING:
+    from torchrl.record.loggers import Logger
 
 FIRST_COLUMNS = (
     *("frames", "seconds", "frames_per_s", "episodes", "return", "reward"),
@@ -35,14 +38,6 @@ SHOWN = (
 WANDB_HOST = "api.wandb.ai"
 LOGGER_FOLDERS = ("wandb", "tensorboard")
 """What loggers write into a run's folder."""
-
-
-class Sink(Protocol):
-    """A TorchRL logger, as far as it is used here."""
-
-    def log_scalar(self, name: str, value: float, step: int | None = None) -> None:
-        """Log one number."""
-        ...
 
 
 class MetricsTable:
@@ -108,13 +103,20 @@ def _read_rows(path: Path) -> list[dict[str, str]]:
     return rows
 
 
-def make_sinks(config: LoggerConfig, run_dir: Path) -> list[Sink]:
+def make_sinks(config: LoggerConfig, run_dir: Path) -> list[Logger]:
     """Return the loggers besides the CSV that ``config`` asks for."""
-    if config.name == "wandb":
-        return [_wandb(config, run_dir)]
-    if config.name == "tensorboard":
-        return [_tensorboard(run_dir)]
-    return []
+    if config.name == "csv":
+        return []
+    os.environ.setdefault("WANDB_SILENT", "true")
+    os.environ.setdefault("WANDB_CONSOLE", "off")
+    from torchrl.record.loggers import get_logger
+
+    name = run_dir.name if config.name == "wandb" else config.name
+    wandb = {"offline": not _has_wandb_key(), "project": config.project}
+    try:
+        return [get_logger(config.name, str(run_dir), name, wandb_kwargs=wandb)]
+    except ImportError as error:
+        raise IzooError(f"logger={config.name} needs a package: pip install 'izoo[{config.name}]'.") from error
 
 
 def in_short(latest: Mapping[str, float]) -> str:
@@ -128,7 +130,7 @@ def _interval(latest: Mapping[str, float], name: str) -> str:
     return "" if low is None or high is None else f" [{low:.1f}, {high:.1f}]"
 
 
-def log_all(sinks: list[Sink], row: Mapping[str, float]) -> None:
+def log_all(sinks: list[Logger], row: Mapping[str, float]) -> None:
     """Send a row of the table to every logger; one that fails is done without from then on."""
     for sink in list(sinks):
         with _dispensable(sink, sinks):
@@ -137,7 +139,7 @@ def log_all(sinks: list[Sink], row: Mapping[str, float]) -> None:
                     sink.log_scalar(name, value, step=int(row["frames"]))
 
 
-def close_all(sinks: list[Sink]) -> None:
+def close_all(sinks: list[Logger]) -> None:
     """Let the loggers finish writing."""
     for sink in list(sinks):
         with _dispensable(sink, sinks):
@@ -148,7 +150,7 @@ def close_all(sinks: list[Sink]) -> None:
 
 
 @contextlib.contextmanager
-def _dispensable(sink: Sink, sinks: list[Sink]) -> Iterator[None]:
+def _dispensable(sink: Logger, sinks: list[Logger]) -> Iterator[None]:
     """Go on without a logger that fails: everything is in ``metrics.csv`` as well."""
     try:
         yield
@@ -156,16 +158,6 @@ def _dispensable(sink: Sink, sinks: list[Sink]) -> Iterator[None]:
         sinks.remove(sink)
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         print(f"{type(sink).__name__} has failed ({reason}); the run goes on without it.", file=sys.stderr, flush=True)
-
-
-def _wandb(config: LoggerConfig, run_dir: Path) -> Sink:
-    os.environ.setdefault("WANDB_SILENT", "true")
-    os.environ.setdefault("WANDB_CONSOLE", "off")
-    from torchrl.record.loggers.wandb import WandbLogger
-
-    return WandbLogger(
-        exp_name=run_dir.name, offline=not _has_wandb_key(), save_dir=str(run_dir), project=config.project
-    )
 
 
 def _has_wandb_key() -> bool:
@@ -177,15 +169,6 @@ def _has_wandb_key() -> bool:
         return netrc.netrc().authenticators(WANDB_HOST) is not None
     except (OSError, netrc.NetrcParseError):
         return False
-
-
-def _tensorboard(run_dir: Path) -> Sink:
-    try:
-        from torchrl.record.loggers.tensorboard import TensorboardLogger
-
-        return TensorboardLogger(exp_name="tensorboard", log_dir=str(run_dir))
-    except ImportError as error:
-        raise IzooError("logger=tensorboard needs the package tensorboard: pip install 'izoo[tensorboard]'.") from error
 
 
 def _number(value: float) -> str:

@@ -10,22 +10,19 @@ import torch
 from tensordict import TensorDictBase
 from torch import nn
 from torchrl.collectors import Collector
-from torchrl.envs.utils import ExplorationType
 
-from izoo import zoo
 from izoo.algos.drivers.random import RandomDriver
 from izoo.conf.train_options import CollectConfig
 from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
 from izoo.contexts.source import RandomSchedule
 from izoo.envs import make, simulator_of
 from izoo.errors import IzooError, UnfinishedError
-from izoo.files import NO_ROOM, claimed_empty, expanded
+from izoo.files import NO_ROOM, claimed_empty
 from izoo.gpu import check_gpu
 from izoo.results.playing import Policy
-from izoo.results.policies import as_policy
 from izoo.training import run_folder
-from izoo.training.shard_writer import MANIFEST, ShardWriter
-from izoo.training.shards import pack
+from izoo.training.process_collector import ENDLESS
+from izoo.training.stored_steps import StepsWriter, pack
 
 FRAMES_PER_BATCH = 1000
 
@@ -33,9 +30,8 @@ FRAMES_PER_BATCH = 1000
 def collect(config: CollectConfig) -> Path:
     """Step environments with a policy and store every step.
 
-    The folder holds ``shard-00000``, ... and ``manifest.json``, which lists the finished shards and is replaced whole
-    after each of them: what it names is complete, whenever the command is stopped. Shards are written under another
-    name and renamed.
+    The folder holds a file per leaf, and ``manifest.json``, which is replaced whole after each batch: what it counts is
+    complete, whenever the command is stopped.
 
     Args:
         config: the options.
@@ -55,7 +51,7 @@ def collect(config: CollectConfig) -> Path:
     source = config.contexts.build()
     with claimed_empty(out, "out"):
         collector = _make_collector(config, policy, RandomSchedule(source, config.seed))
-        writer = ShardWriter(config, out)
+        writer = StepsWriter(config, out)
         try:
             with graceful_interrupt() as interrupt, Progress(config.frames) as bar:
                 for batch in collector:
@@ -66,14 +62,13 @@ def collect(config: CollectConfig) -> Path:
                     bar.update(writer.frames)
                     if interrupt.requested or writer.frames >= config.frames:
                         break
-            writer.finish_shard()
         except OSError as error:
-            kept = f"; shards that its {MANIFEST} names are complete" if (out / MANIFEST).exists() else ""
-            text = f"could not write to {out}: {error}{kept}"
             remedy = "Make room, then collect" if error.errno in NO_ROOM else "Collect"
-            raise UnfinishedError(f"{text}. {remedy} the rest into another folder.") from error
+            raise UnfinishedError(
+                f"could not write to {out}: {error}; {writer.frames:,} steps are complete. {remedy} the rest into "
+                "another folder."
+            ) from error
         finally:
-            writer.discard()
             collector.shutdown()
     print(f"Data: {out}", flush=True)
     if interrupt.requested:
@@ -103,10 +98,7 @@ def _make_collector(config: CollectConfig, policy: Policy, schedule: RandomSched
                 env,
                 policy,
                 frames_per_batch=-(-FRAMES_PER_BATCH // env.batch_size.numel()) * env.batch_size.numel(),
-                total_frames=-1,
-                exploration_type=ExplorationType.RANDOM,
-                trust_policy=True,
-                auto_register_policy_transforms=False,
+                **ENDLESS,
             )
         except BaseException:
             if not env.is_closed:
@@ -115,17 +107,8 @@ def _make_collector(config: CollectConfig, policy: Policy, schedule: RandomSched
 
 
 def make_policy(config: CollectConfig) -> Policy:
-    """Return the policy that ``config.policy`` names: a driver, one that ships, one's own, or a run's."""
+    """Return the policy that ``config.policy`` names."""
     if config.policy == "random":
         return RandomDriver(config.env)
-    if zoo.named(config.policy) or not expanded(config.policy).exists():
-        policy = as_policy(config.policy, config.env).policy
-        return policy.eval() if isinstance(policy, nn.Module) else policy
-    algorithm, trained, _ = run_folder.load_algorithm(config.policy)
-    zoo.check_fits(f"the policy of {config.policy}", trained.env, config.env)
-    if trained.env.decision_s != config.env.decision_s:
-        raise IzooError(
-            f"the policy of {config.policy} decides every {trained.env.decision_s:g} s, and env every "
-            f"{config.env.decision_s:g} s; set env.hold_s={trained.env.decision_s:g}."
-        )
-    return algorithm.policy.eval()
+    policy = run_folder.any_policy(config.policy, config.env).policy
+    return policy.eval() if isinstance(policy, nn.Module) else policy

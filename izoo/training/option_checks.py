@@ -52,5 +52,5 @@ def check_options(config: TrainConfig) -> None:
             f"{config.env.reward.eta:g}; choose simulator=twin, a multiple of {policies} for num_envs, and "
             "env.reward=fuel_team or env.reward.eta=1."
         )
-    if config.collector.name == "ray":
+    if config.collector == "ray":
         ray_cluster.connect()

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import signal
 import threading
+import time
 from collections.abc import Iterator, Sequence
-from multiprocessing.process import BaseProcess
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -20,22 +20,36 @@ from torchrl.envs.utils import ExplorationType
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import Schedule
 from izoo.errors import IzooError, UnfinishedError
+from izoo.processes import STARTUP_S
 from izoo.training.command_replay import EpisodeHistory
 from izoo.training.environments import TrainingEnv
-from izoo.training.watchdog import StepWatch, open_counts
 
+ENDLESS: dict[str, Any] = {
+    "total_frames": -1,
+    "exploration_type": ExplorationType.RANDOM,
+    "trust_policy": True,
+    "auto_register_policy_transforms": False,
+}
+"""Options of TorchRL's collectors: batches without end, of actions that are drawn, of a policy that stays as it is."""
 WORKER_TRACEBACK = "\n\nWorker traceback:"
 """What TorchRL puts after the message of an error of another process."""
+SLOWER = 10.0
+"""A batch may take so many times as long as the one before it."""
 
 
 class ProcessCollector(MultiSyncCollector):
     """TorchRL's collector, with errors that say what happened to its processes.
 
-    Attributes:
-        watch: over its processes; to be set before the first batch.
+    TorchRL notices a process that has ended, but waits forever for one that is stopped or hangs.
+
+    Args:
+        watchdog_s: how much longer than :data:`SLOWER` times the last batch one may take; all are ended then.
+        args, options: of TorchRL's collector.
     """
 
-    watch: StepWatch
+    def __init__(self, *args: Any, watchdog_s: float, **options: Any) -> None:
+        self._watchdog_s, self._patience_s, self._hung = watchdog_s, max(watchdog_s, STARTUP_S), False
+        super().__init__(*args, **options)
 
     def iterator(self) -> Iterator[TensorDictBase]:
         """Yield batches ``[N, T]``.
@@ -44,24 +58,44 @@ class ProcessCollector(MultiSyncCollector):
             UnfinishedError: a process has ended, or none took a step and all were ended.
         """
         batches = super().iterator()
-        pids = [process.pid for process in self.procs]
-        try:
+        with contextlib.suppress(StopIteration):
             while True:
-                with self.watch.over(pids):
+                begun_s = time.monotonic()
+                with self._watched():
                     batch = next(batches)
+                self._patience_s = self._watchdog_s + SLOWER * (time.monotonic() - begun_s)
                 yield batch
-        except StopIteration:
-            return
-        except (OSError, RuntimeError, ValueError) as error:
-            if self.watch.ended:
+
+    def update_policy_weights_(self, *args: Any, **options: Any) -> None:
+        """Hand changed parameters to the processes.
+
+        Raises:
+            UnfinishedError: one does not take them; all are ended.
+        """
+        with self._watched():
+            super().update_policy_weights_(*args, **options)
+
+    @contextlib.contextmanager
+    def _watched(self) -> Iterator[None]:
+        """End the processes where they do not answer within the block."""
+        watch = threading.Timer(self._patience_s, self._end)
+        watch.daemon = True
+        watch.start()
+        try:
+            yield
+        except (OSError, EOFError, RuntimeError, ValueError) as error:
+            if self._hung:
                 raise UnfinishedError(
-                    "the processes that collect took no step for env.watchdog_s and were ended; go on with "
+                    "the processes that collect did not answer for env.watchdog_s and were ended; go on with "
                     "resume=RUN_DIR."
                 ) from error
-            # TorchRL notices too, but then stumbles over the other processes, or over the pipe.
-            codes = {number: _exit_code(process) for number, process in enumerate(self.procs)}
+            # TorchRL notices too, but then stumbles over the other processes, or over the pipe; these it ends itself.
+            codes = {}
+            for number, process in enumerate(self.procs):
+                with contextlib.suppress(ValueError):  # TorchRL has ended and closed it
+                    codes[number] = process.exitcode
             ended = [number for number, code in codes.items() if code not in (None, -signal.SIGTERM)]
-            if not ended and "process failed" in str(error):  # TorchRL itself ends the others with SIGTERM
+            if not ended and "process failed" in str(error):
                 ended = [number for number, code in codes.items() if code is not None]
             if not ended:
                 raise
@@ -69,45 +103,13 @@ class ProcessCollector(MultiSyncCollector):
                 f"process {ended[0]} of {self.num_workers} that collect has ended (exit code {codes[ended[0]]}); what "
                 "it wrote before says why, unless it was killed. Go on with resume=RUN_DIR."
             ) from error
+        finally:
+            watch.cancel()
 
-    def hand_over(self, policy: TensorDictModuleBase) -> None:
-        """Hand changed parameters to the processes; TorchRL would wait forever for one that does not take them.
-
-        Raises:
-            UnfinishedError: one does not; all are ended.
-        """
-        failures: list[Exception] = []
-
-        def update() -> None:
-            try:
-                self.update_policy_weights_(policy)
-            except Exception as error:
-                failures.append(error)
-
-        thread = threading.Thread(target=update, daemon=True)
-        thread.start()
-        thread.join(self.watch.patience_s)
-        if thread.is_alive():
-            for process in self.procs:
-                process.kill()
-            raise UnfinishedError(
-                "a process that collects took no new weights for env.watchdog_s; go on with resume=RUN_DIR."
-            )
-        if failures:
-            raise failures[0]
-
-    def shutdown(self, timeout: float | None = None, *args: Any, **options: Any) -> None:
-        """End the processes."""
-        if "watch" in vars(self):  # TorchRL calls this as well, where one of them does not begin
-            self.watch.close()
-        super().shutdown(timeout, *args, **options)
-
-
-def _exit_code(process: BaseProcess) -> int | None:
-    try:
-        return process.exitcode
-    except ValueError:  # TorchRL has ended and closed it
-        return None
+    def _end(self) -> None:
+        self._hung = True
+        for process in self.procs:
+            process.kill()
 
 
 def process_collector(
@@ -122,62 +124,43 @@ def process_collector(
     Raises:
         IzooError: an environment cannot be made.
     """
-    watch = StepWatch(config.num_workers, config.env.watchdog_s)
     try:
-        collector = ProcessCollector(
-            worker_envs(config, schedule, histories, watch.path),
+        return ProcessCollector(
+            worker_envs(config, schedule, histories),
             policy,
             frames_per_batch=frames,
-            total_frames=-1,
-            exploration_type=ExplorationType.RANDOM,
-            trust_policy=True,
-            auto_register_policy_transforms=False,
+            watchdog_s=config.env.watchdog_s,
+            **ENDLESS,
         )
-    except BaseException as error:
-        watch.close()
-        if isinstance(error, IzooError):
-            raise IzooError(str(error).partition(WORKER_TRACEBACK)[0]) from None
-        raise
-    collector.watch = watch
-    return collector
+    except IzooError as error:
+        raise IzooError(str(error).partition(WORKER_TRACEBACK)[0]) from None
 
 
 def worker_envs(
-    config: TrainConfig, schedule: Schedule, histories: Sequence[EpisodeHistory], counts: Path | None = None
+    config: TrainConfig, schedule: Schedule, histories: Sequence[EpisodeHistory]
 ) -> list[functools.partial[EnvBase]]:
     """Return what makes the environment of each worker process.
 
     Args:
         config, schedule, histories: as for :class:`izoo.training.collectors.BatchSource`.
-        counts: file of the workers' counts of steps.
     """
     return [
-        functools.partial(worker_env, config, schedule, tuple(histories[worker : worker + 1]), worker, counts)
+        functools.partial(worker_env, config, schedule, tuple(histories[worker : worker + 1]), worker)
         for worker in range(config.num_workers)
     ]
 
 
-def worker_env(
-    config: TrainConfig,
-    schedule: Schedule,
-    histories: Sequence[EpisodeHistory],
-    worker: int,
-    counts: Path | None = None,
-) -> EnvBase:
+def worker_env(config: TrainConfig, schedule: Schedule, histories: Sequence[EpisodeHistory], worker: int) -> EnvBase:
     """Return the environment of one worker process, and seed that process."""
     # A resumed run draws exploration of its own: where a worker's generator stood is not known here.
     done = sum(history.episode * config.env.decisions + len(history) for history in histories)
     torch.manual_seed((config.seed * 65_537 + worker + done * 1_000_003) % 2**63)
-    count = config.num_workers
-    env = TrainingEnv(
+    return TrainingEnv(
         schedule,
         config=config.env,
         seed=config.seed,
         worker=worker,
-        num_workers=count,
+        num_workers=config.num_workers,
         simulator=config.simulator,
         histories=histories,
     )
-    if counts is not None:
-        env.steps_taken = open_counts(counts, count)[worker : worker + 1]
-    return env

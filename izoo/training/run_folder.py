@@ -5,21 +5,20 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import yaml
-from tensordict.nn import TensorDictModuleBase
 
+from izoo import zoo
 from izoo.algos.learners.base import Algorithm, innermost
-from izoo.algos.learners.registry import make_algorithm
-from izoo.conf.context_choices import ContextsConfig
+from izoo.algos.learners.registry import DRIVER_NAMES, make_algorithm
 from izoo.conf.mapping import from_mapping, to_mapping, to_yaml
-from izoo.conf.own_traffic import driver_files
 from izoo.conf.train_options import TrainConfig
-from izoo.contexts.population import MAX_FILE_BYTES, DriverPopulation, read_population
+from izoo.contexts.population import MAX_FILE_BYTES
+from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.files import (
@@ -33,9 +32,12 @@ from izoo.files import (
     write_bytes,
     write_text,
 )
+from izoo.results.policies import NamedPolicy, as_policy
 from izoo.training import checkpoint
 from izoo.training.loggers import LOGGER_FOLDERS
 
+EVALUATIONS, LAST = "evaluations", "last"
+"""Folder of a run with its results folders, and the one of them that is of its final evaluation."""
 CONFIG_FILE, METRICS_FILE, CURVE_FILE = "config.yaml", "metrics.csv", "learning_curve.png"
 NETWORK_OPTIONS = ("hidden", "activation", "initial_spread", "layers", "heads", "neighbours", "range_m")
 """Options of ``algo`` that decide what the weights of a policy mean."""
@@ -43,7 +45,7 @@ NETWORK_OPTIONS = ("hidden", "activation", "initial_spread", "layers", "heads", 
 
 @contextlib.contextmanager
 def created(config: TrainConfig) -> Iterator[Path]:
-    """Make the folder of a new run, write its options and drivers, and give its absolute path; this process owns it.
+    """Make the folder of a new run, write its options, and give its absolute path; this process owns it.
 
     Where the block ends with an error before anything was learned, nothing is left behind.
 
@@ -59,12 +61,11 @@ def created(config: TrainConfig) -> Iterator[Path]:
     ensure_empty(run_dir, "run_dir", "go on with that run: resume=" + str(run_dir))
     with owned(run_dir):
         try:
-            keep_drivers(run_dir, config)
             write_config(run_dir, config)
             yield run_dir
         except BaseException:
             if not checkpoint.listed(run_dir) and not (run_dir / METRICS_FILE).exists():
-                _remove(run_dir, config, above if existed else [run_dir, *above])
+                _remove(run_dir, above if existed else [run_dir, *above])
             raise
 
 
@@ -79,9 +80,9 @@ def owned(run_dir: Path) -> Iterator[None]:
         yield
 
 
-def _remove(run_dir: Path, config: TrainConfig, made: Sequence[Path]) -> None:
+def _remove(run_dir: Path, made: Sequence[Path]) -> None:
     """Remove what a run has put into its folder, and the folders made for it that hold nothing else."""
-    for path in (run_dir / CONFIG_FILE, *(kept for _, kept in _drivers(run_dir, config))):
+    for path in (run_dir / CONFIG_FILE, *run_dir.glob("drivers-*.json")):
         path.unlink(missing_ok=True)
     for name in LOGGER_FOLDERS:
         shutil.rmtree(run_dir / name, ignore_errors=True)
@@ -91,47 +92,19 @@ def _remove(run_dir: Path, config: TrainConfig, made: Sequence[Path]) -> None:
 
 
 def write_config(run_dir: Path, config: TrainConfig) -> None:
-    """Write the resolved options as ``config.yaml``."""
-    write_text(run_dir / CONFIG_FILE, to_yaml(dataclasses.replace(config, resume=None)))
+    """Write the resolved options as ``config.yaml``, and beside it copies of the files of drivers that they name."""
+    values = to_mapping(dataclasses.replace(config, resume=None))
+    for number, part in enumerate(with_drivers(values), 1):
+        kept = run_dir / f"drivers-{number}.json"
+        write_bytes(kept, read_bytes(Path(part["drivers"]), MAX_FILE_BYTES))
+        part["drivers"] = kept.name
+    write_text(run_dir / CONFIG_FILE, to_yaml(values))
 
 
-def keep_drivers(run_dir: Path, config: TrainConfig) -> None:
-    """Copy the files of ``contexts.drivers`` into the run's folder: what they held belongs to what the run is."""
-    for path, kept in _drivers(run_dir, config):
-        write_bytes(kept, read_bytes(path, MAX_FILE_BYTES))
-
-
-def check_drivers(run_dir: Path, config: TrainConfig, contexts: ContextsConfig | None = None) -> None:
-    """Check that files of ``contexts.drivers`` still hold the drivers that a run was trained with.
-
-    Args:
-        run_dir: the run's folder.
-        config: its options.
-        contexts: what is played, where that is not the run's own; only files that it names are checked.
-
-    Raises:
-        IzooError: a file holds others, or none, by now.
-    """
-    used = driver_files(contexts or config.contexts)
-    for path, kept in _drivers(run_dir, config):
-        if path in used and not _same_drivers(path, read_population(kept)):
-            raise IzooError(
-                f"contexts.drivers: {path} does not hold the drivers any more that {run_dir} was trained with; put "
-                f"their copy back there: {kept}."
-            )
-
-
-def _drivers(run_dir: Path, config: TrainConfig) -> list[tuple[Path, Path]]:
-    """Return every file of drivers that a run's options name, with its copy in the run's folder."""
-    files = driver_files(config.contexts)
-    return [(path, run_dir / f"drivers-{number}.json") for number, path in enumerate(files, 1)]
-
-
-def _same_drivers(path: Path, kept: DriverPopulation) -> bool:
-    try:
-        return read_population(path) == kept
-    except IzooError:
-        return False
+def with_drivers(options: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the parts of a run's options, as plain values, that name a file of drivers."""
+    contexts = options["contexts"]
+    return [part for part in (contexts, *contexts.get("sources", ())) if part.get("drivers")]
 
 
 def read_config(run_dir: Path, imports: bool = True) -> TrainConfig:
@@ -152,6 +125,8 @@ def read_config(run_dir: Path, imports: bool = True) -> TrainConfig:
         algorithm = str(values["algo"]["name"])
         if ":" in algorithm and not imports:
             raise IzooError(f"the run {run_dir} is of the code {algorithm}; imports=true allows to import it.")
+        for part in with_drivers(values):
+            part["drivers"] = str((run_dir / part["drivers"]).absolute())
         try:
             return from_mapping(TrainConfig, values)
         except IzooError as error:
@@ -228,6 +203,19 @@ def _weight_options(config: TrainConfig) -> dict[str, Any]:
     }
 
 
-def load_policy(where: Path | str) -> TensorDictModuleBase:
-    """Return the policy of a run folder or checkpoint file, ready to act on ``("agents", "observation")``."""
-    return load_algorithm(where)[0].policy.eval()
+def any_policy(policy: str, config: EnvConfig, name: str | None = None) -> NamedPolicy:
+    """Return what :func:`izoo.results.policies.as_policy` does, or the policy of a run or one of its checkpoints.
+
+    Raises:
+        IzooError: there is no such policy, or it was trained on other observations or decisions.
+    """
+    path = expanded(policy).absolute()
+    if policy in DRIVER_NAMES or zoo.named(policy) or not path.exists():
+        return as_policy(policy, config, name)
+    path = checkpoint.find(path)
+    run_dir = checkpoint.run_of(path)
+    algorithm, trained, state = load_algorithm(path)
+    zoo.check_fits(f"the policy of {run_dir}", trained.env, config)
+    found = as_policy(algorithm.policy.eval(), config, name or run_dir.name)
+    record = dataclasses.replace(found.record, source=str(path), algo=trained.algo.name, frames=state["frames"])
+    return found._replace(record=record, train_seed=trained.seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import torch
 
 from izoo.algos.learners.base import Keys
 from izoo.conf.train_options import TrainConfig
+from izoo.contexts.context import Context
 from izoo.contexts.source import ContextSource, RandomSchedule, Schedule
 from izoo.envs.twin_env import is_own_state
 from izoo.files import reading
@@ -17,7 +19,20 @@ from izoo.training.collectors import BatchSource
 from izoo.training.command_replay import EpisodeHistories
 from izoo.training.learner import Learner, learner_device
 from izoo.training.prioritized_level_replay import PrioritizedLevelReplay
-from izoo.training.schedules import SharedSchedule, ShiftedSchedule
+
+
+def later(schedule: Schedule, first: int, episode: int) -> tuple[Context, int]:
+    """Return an episode of ``schedule`` from its number ``first`` on: what a resumed run has not played yet."""
+    return schedule(first + episode)
+
+
+def shared(schedule: Schedule, envs: int, blocks: int, episode: int) -> tuple[Context, int]:
+    """Return an episode of ``envs`` environments in ``blocks`` of equal size, all of which play those of ``schedule``.
+
+    Each block is of one of the policies that are compared.
+    """
+    size = envs // blocks
+    return schedule(episode // envs * size + episode % size)
 
 
 class RunState:
@@ -123,9 +138,9 @@ class RunState:
             return self.levels
         schedule: Schedule = self.draws
         if self.first_episode:
-            schedule = ShiftedSchedule(schedule, self.first_episode)
+            schedule = functools.partial(later, schedule, self.first_episode)
         blocks = self.config.algo.candidates
-        return SharedSchedule(schedule, self.config.environments, blocks) if blocks > 1 else schedule
+        return functools.partial(shared, schedule, self.config.environments, blocks) if blocks > 1 else schedule
 
     def state_dict(self) -> dict[str, Any]:
         """Return what a checkpoint holds besides the number of frames."""

@@ -1,6 +1,4 @@
-"""Periodic validation: while training goes on, another process (:mod:`izoo.training.validation_worker`) plays the run's
-weights and the baselines.
-"""
+"""Periodic validation: beside training, another process (:mod:`izoo.training.validation_rollout`) plays the weights."""
 
 from __future__ import annotations
 
@@ -121,7 +119,7 @@ class Validator:
         result = self._result_of(checkpoint.frames_of(self._validating))
         result.parent.mkdir(exist_ok=True)
         with (self.run_dir / LOG_FILE).open("wb") as log:
-            place = "izoo.training.validation_worker:main"
+            place = "izoo.training.validation_rollout:main"
             self._child = ChildProcess(place, str(self._validating), str(result), output=log)
 
     def _result_of(self, frames: int) -> Path:

@@ -4,24 +4,38 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import os
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
+import torch
 
 from izoo.conf.context_choices import ContextsConfig, MixedContexts
 from izoo.contexts.source import ContextSource, MixedSource
 from izoo.errors import IzooError
+from izoo.files import write_json
 from izoo.metrics.figures import FIGURES, HEADLINE
 from izoo.metrics.pairing import HUMAN, UNCOMMANDED, pair
+from izoo.metrics.summary import summarise
+from izoo.processes import end_with_parent
+from izoo.results.rollout import evaluate_policy
 from izoo.results.selection import EpisodeSeeds, choose_contexts
-from izoo.training import checkpoint
-
-if TYPE_CHECKING:
-    import pandas as pd
+from izoo.training import run_folder
 
 VALIDATION_SEED = 7_561
 """Seed of the validation contexts and episodes, whatever the run's own: runs are compared on the same episodes."""
+NICENESS = 10
 POLICY, CONTEXTS = "policy", "contexts_saved"
+
+
+def main(parent: int, checkpoint_file: str, result_file: str) -> None:
+    """Validate a checkpoint in a process of low priority, and write the row as JSON, whole or not at all."""
+    end_with_parent(parent)
+    os.nice(NICENESS)
+    torch.set_num_threads(1)
+    write_json(Path(result_file), validate(Path(checkpoint_file)), durable=False)
 
 
 def held_out(config: ContextsConfig) -> ContextSource:
@@ -44,12 +58,8 @@ def validate(path: Path) -> dict[str, Any]:
     where the delay is shown to be higher than that of uncommanded CVs. Under :data:`CONTEXTS`: the intersection and the
     CO2 saved of every context.
     """
-    from izoo.results import evaluate_policy, summarise
-    from izoo.training import run_folder
-
     started = time.perf_counter()
     algorithm, config, state = run_folder.load_algorithm(path)
-    run_folder.check_drivers(checkpoint.run_of(path), config)
     options = config.validation
     table = evaluate_policy(
         algorithm.policy.eval(),

@@ -5,13 +5,12 @@ shows them all. The policy of a run becomes such a file with ``python -m izoo.zo
 path.
 """
 
-from izoo.zoo.catalog import card, check_exported, named, names
+from izoo.zoo.catalog import card, named, names
 from izoo.zoo.trained import TrainedPolicy, check_fits, full_episodes, load, read, write
 
 __all__ = [
     "TrainedPolicy",
     "card",
-    "check_exported",
     "check_fits",
     "full_episodes",
     "load",

@@ -45,16 +45,6 @@ def absolute(policy: str) -> str:
     return str(expanded(policy).absolute()) if is_file else policy
 
 
-def check_exported(policy: str) -> None:
-    """Raise :class:`IzooError` where ``policy`` is a checkpoint of a run, which is no policy by itself."""
-    path = expanded(policy)
-    if named(policy) is None and path.suffix == WEIGHTS and path.is_file():
-        raise IzooError(
-            f"{policy} is a checkpoint of a run; evaluate it with python -m izoo.evaluate run={policy}, or make a "
-            f"policy of the run with {EXPORT}."
-        )
-
-
 def weights(name: str) -> Path:
     """Return the file that holds a shipped policy.
 

@@ -16,7 +16,7 @@ from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
-from izoo.files import DamagedError, check_parts, expanded, replacing
+from izoo.files import check_parts, expanded, reading, replacing
 from izoo.zoo import catalog
 
 if TYPE_CHECKING:
@@ -94,27 +94,15 @@ def read(path: Path) -> TrainedPolicy:
     """
     import torch
 
-    try:
+    with reading(path):
         check_parts(path)
         state: Any = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError:
-        raise IzooError(f"there is no policy {path}.") from None
-    except DamagedError as error:
-        raise IzooError(f"{path} is damaged: {error}; get it again.") from error
-    except Exception as error:  # what damaged bytes raise depends on the bytes
-        raise IzooError(f"{path} is cut short or not a policy; get it again.") from error
-    if not isinstance(state, dict) or state.get("format") != FORMAT:
-        raise IzooError(f"{path} is not a policy of this version of izoo ({FORMAT}); export it from its run again.")
-    options: Any = state.get("options")
-    algo: Any = options.get("algo") if isinstance(options, dict) else None
-    _check_algorithm(str(algo.get("name")) if isinstance(algo, dict) else "", path)
-    try:
+        if not isinstance(state, dict) or state.get("format") != FORMAT:
+            raise ValueError(f"it is not a policy of format {FORMAT}")
+        _check_algorithm(str(state["options"]["algo"]["name"]), path)
         config = from_mapping(TrainConfig, {name: state["options"][name] for name in KEPT})
         policy = make_algorithm(config.algo, config.action, config.env).policy
         policy.load_state_dict(state["policy"])
-    except (IzooError, KeyError, RuntimeError, TypeError, AttributeError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise IzooError(f"{path} does not hold a policy that this version of izoo can build: {reason}") from error
     return TrainedPolicy(path.stem, policy.eval(), config.env, config.algo, config.action)
 
 

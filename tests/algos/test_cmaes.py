@@ -1,5 +1,6 @@
 """CMA-ES over linear policies: who plays what, what is learned, and that it goes on where it stopped."""
 
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from izoo.contexts.source import RandomSchedule
 from izoo.envs.config import EnvConfig
 from izoo.errors import IzooError
 from izoo.training import run_folder
-from izoo.training.schedules import SharedSchedule
+from izoo.training.run_state import shared
 
 FEATURES, AGENTS, STEPS, BLOCK = 5, 6, 4, 3
 GOAL = torch.tensor([1.0, -1.0, 0.5, 0.0, 0.0])
@@ -121,7 +122,7 @@ def test_what_cannot_be_compared_is_refused() -> None:
 
 
 def test_all_blocks_play_the_same_episodes_and_each_only_once() -> None:
-    schedule = SharedSchedule(RandomSchedule(EASY, 0), envs=12, blocks=4)
+    schedule = functools.partial(shared, RandomSchedule(EASY, 0), 12, 4)
     for number in range(3):
         rounds = [[schedule(number * 12 + block * 3 + k)[1] for k in range(3)] for block in range(4)]
         assert all(seeds == rounds[0] for seeds in rounds)

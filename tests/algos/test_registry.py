@@ -95,7 +95,7 @@ def test_algorithms_learn_whatever_the_default_type_of_numbers_is(name: str, tmp
     torch.set_default_dtype(torch.float64)
     try:
         assert train.main(words) == 0
-        state = run_folder.load_policy(tmp_path / "run").state_dict()
+        state = run_folder.load_algorithm(tmp_path / "run")[0].policy.state_dict()
     finally:
         torch.set_default_dtype(before)
     assert {tensor.dtype for tensor in state.values() if tensor.is_floating_point()} == {torch.float32}

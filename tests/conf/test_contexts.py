@@ -12,7 +12,7 @@ from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts import catalogue
 from izoo.contexts.cities.rebuilt import SIZES
-from izoo.contexts.procedural import SYSTEMATICITY_TEST
+from izoo.contexts.procedural import SYSTEMATICITY_TEST_SAMPLE
 from izoo.contexts.source import ContextList
 from izoo.errors import IzooError
 from izoo.training.validation_rollout import held_out
@@ -121,7 +121,9 @@ def test_an_empty_list_lifts_the_exclusion():
 def test_the_systematicity_test_set():
     grid = chosen("contexts=systematicity_test").build()
     assert isinstance(grid, ContextList)
-    assert [context.content_hash for context in grid] == [context.content_hash for context in SYSTEMATICITY_TEST]
+    assert [context.content_hash for context in grid] == [
+        context.content_hash for context in SYSTEMATICITY_TEST_SAMPLE.interval_ends()
+    ]
 
 
 def test_dataset_splits_share_out_the_intersections(published):
@@ -216,7 +218,7 @@ def test_a_mixture_is_validated_on_the_validation_split_of_those_that_have_one()
 )
 def test_a_mixture_that_cannot_be_made_is_refused(words, said):
     with pytest.raises(IzooError) as refused:
-        chosen("contexts=mixed", *words).check()
+        chosen("contexts=mixed", *words).build()
     assert said in str(refused.value)
 
 

@@ -20,9 +20,9 @@ from izoo.conf.built_in import CatalogueContexts, CityContexts
 from izoo.conf.context_choices import PcgContexts
 from izoo.conf.evaluate_options import EvaluateConfig
 from izoo.conf.mapping import from_mapping, to_mapping
-from izoo.conf.report_options import ReportConfig
 from izoo.conf.train_options import CollectConfig, TrainConfig
 from izoo.errors import IzooError
+from izoo.report.__main__ import ReportConfig
 
 CONFIGS: dict[str, Any] = {
     **{f"train {name}": compose_config(TrainConfig, [f"algo={name}"]) for name in registry.choices()},

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from izoo.errors import IzooError
-from izoo.files import partial_of
 from izoo.networks.dataset.importing import import_dataset
 from izoo.networks.dataset.intersections import load_dataset
 from tests.networks.test_dataset import NET, write
@@ -188,7 +187,7 @@ def test_an_import_is_whole_or_leaves_no_trace(tmp_path: Path, source: Path) -> 
     with pytest.raises(KeyboardInterrupt):
         import_dataset(source, target, progress=stop)
     assert not target.exists()
-    killed = partial_of(target) / "salt-lake-city"
+    killed = tmp_path / ".target.partial" / "salt-lake-city"
     killed.mkdir(parents=True)
     import_dataset(source, target)
     assert not killed.exists()

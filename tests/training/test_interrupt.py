@@ -14,8 +14,8 @@ from izoo.console import exit_code, graceful_interrupt, workers_ignore_interrupt
 from izoo.training import checkpoint
 from izoo.training.learner import Learner
 from izoo.training.loggers import MetricsTable
+from izoo.training.loop import Session
 from izoo.training.run_folder import METRICS_FILE
-from izoo.training.session import Session
 from tests.training.toy import TOY, begun
 
 

@@ -64,7 +64,7 @@ def test_one_changed_byte_is_noticed(written: Path) -> None:
     content = bytearray(written.read_bytes())
     content[len(content) // 2] ^= 1
     written.write_bytes(content)
-    with pytest.raises(IzooError, match=r"calm\.pt .*(damaged|cut short)"):
+    with pytest.raises(IzooError, match=r"calm\.pt: .*damaged"):
         zoo.read(written)
 
 
@@ -121,7 +121,8 @@ def test_a_run_is_exported_with_a_card_and_plays_as_it_did(
     card = (tmp_path / "mine.md").read_text()
     assert "python -m izoo.train algo=ppo action=advise contexts=pcg" in card and "algo.hidden=[16]" in card
     assert str(run.parent) not in card, "a card names no folder of a machine"
-    there, trained = run_folder.load_policy(run), zoo.read(out)
+
+    there, trained = run_folder.load_algorithm(run)[0].policy.eval(), zoo.read(out)
     seen = torch.rand(4, 8, len(observation_names(trained.env)))
     batch = TensorDict({"agents": {"observation": seen, "mask": torch.ones(4, 8, dtype=torch.bool)}}, [4])
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
@@ -184,7 +185,7 @@ def test_an_exported_policy_is_an_entry_of_the_benchmarks(
     (tmp_path / "mine.yaml").write_text(f"entries: {{mine: {{policy: mine.pt}}}}\nparts: {{lane: {lane}}}\n")
     run = PartRun(read_experiment(str(tmp_path / "mine.yaml")), "lane", tmp_path, CampaignConfig())
     monkeypatch.chdir(tmp_path)
-    ((kind, mine),) = run.entries.values()
+    kind, mine = run.entries["mine"]
     assert (kind, mine.policy) == ("scripted", str(exported)), "a campaign goes on from any folder"
     own = run.env("mine")
     assert own.hold_s == 2.0 != run.env("human").hold_s and own.horizon_s == run.task.env.horizon_s
@@ -199,18 +200,16 @@ def test_an_exported_policy_collects(run: Path, exported: Path, tmp_path: Path) 
     words = ["contexts=pcg_easy", "frames=20", "env.horizon_s=75", "num_workers=1"]
     assert collect.main([f"policy={exported}", *words, f"out={tmp_path / 'file'}"]) == 0
     (newest,) = (run / "checkpoints").glob("step-*.pt")
-    assert collect.main([f"policy={newest}", *words, "env.hold_s=2", f"out={tmp_path / 'checkpoint'}"]) == 0
+    assert collect.main([f"policy={newest}", *words, f"out={tmp_path / 'checkpoint'}"]) == 0
 
 
-def test_other_files_are_refused_in_a_sentence(run: Path, tmp_path: Path, refused: Refused) -> None:
+def test_other_files_are_refused_in_a_sentence(tmp_path: Path, refused: Refused) -> None:
     torch.save({"weights": torch.zeros(3)}, tmp_path / "foreign.pt")
     (tmp_path / "text.pt").write_text("policy")
-    (newest,) = (run / "checkpoints").glob("step-*.pt")
     files = {
-        tmp_path / "foreign.pt": "foreign.pt is not a policy of this version of izoo",
-        tmp_path / "text.pt": "text.pt is cut short or not a policy",
+        tmp_path / "foreign.pt": "foreign.pt: it is not a policy of format",
+        tmp_path / "text.pt": "text.pt: ",
         tmp_path / "nowhere.pt": "nowhere.pt; give one that python -m izoo.zoo export wrote",
-        newest: "is a checkpoint of a run; evaluate it with python -m izoo.evaluate run=",
     }
     for path, said in files.items():
         refused(evaluate.main, [f"policy={path}", "contexts=pcg", f"out={tmp_path / 'out'}"], said)
@@ -249,11 +248,11 @@ def test_shipped_policies_burn_less_than_uncommanded_cvs() -> None:
 @pytest.mark.parametrize(
     ("state", "message"),
     [
-        ({"format": "izoo-policy-0"}, "not a policy of this version"),
-        ([1, 2], "not a policy of this version"),
-        ({"format": "izoo-policy-1"}, "hold a policy of algo=;"),
+        ({"format": "izoo-policy-0"}, "not a policy of format"),
+        ([1, 2], "not a policy of format"),
+        ({"format": "izoo-policy-1"}, "cannot read .*options"),
         ({"format": "izoo-policy-1", "options": {"algo": {"name": "pqo"}}}, "hold a policy of algo=pqo"),
-        ({"format": "izoo-policy-1", "options": {"algo": {"name": "ppo"}}}, "can build: 'action'"),
+        ({"format": "izoo-policy-1", "options": {"algo": {"name": "ppo"}}}, "cannot read .*action"),
     ],
 )
 def test_other_files_are_refused(state: object, message: str, tmp_path: Path) -> None:
@@ -270,6 +269,6 @@ def test_nothing_in_a_file_is_run(tmp_path: Path) -> None:
 
     path = tmp_path / "trap.pt"
     torch.save({"format": "izoo-policy-1", "options": Trap()}, path)
-    with pytest.raises(IzooError, match="not a policy"):
+    with pytest.raises(IzooError, match="cannot read"):
         zoo.read(path)
     assert not (tmp_path / "ran").exists()

@@ -93,10 +93,10 @@ def main(
         data, results = Path(folder) / "data", Path(folder) / "results"
         traffic = [f"contexts.{name}={value}" for name, value in TRAFFIC.items()]
         options = [f"frames={frames}", f"out={data}", f"env.horizon_s={horizon_s}", "env.num_agents=32", *traffic]
-        if collect.main(["policy=glide", f"shard_frames={frames // 2}", *options]) != 0:
+        if collect.main(["policy=glide", *options]) != 0:
             raise SystemExit(1)
         buffer = collect.replay_buffer(data, batch_size=256)
-        print(f"{len(buffer)} steps lie in {len(buffer.storage.shards)} shards")
+        print(f"{len(buffer)} steps with {len(buffer.storage.rows)} rows of agents")
         clone, losses = fit(buffer, updates)
         played = choose_contexts(PcgContexts(**TRAFFIC).build(), contexts, seed=1)
         config = EnvConfig(horizon_s=horizon_s, num_agents=32)
