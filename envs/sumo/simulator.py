@@ -27,7 +27,7 @@ from izoo.envs.sumo.vehicle_ids import VehicleIds
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
-from izoo.traffic.sampling import write_routes
+from izoo.traffic.sampling import Traffic, write_routes
 
 
 class SumoSimulator:
@@ -79,26 +79,26 @@ class SumoSimulator:
         traffic = episode_traffic(config, context, road, seed)
         episode = Episode(config, self.frame, self._weights, context, seed, number, road, traffic)
         self._episode = None  # none is running until this one is loaded
-        self._load(net, episode)
+        self._load(net, episode, traffic)
         self._episode, self.ids = episode, VehicleIds()
         self._lane_numbers = {name: number for number, name in enumerate(road.lane_ids)}
         self._entry_edges = entry_edges(road, context.demand_approaches, config.step_s)
         self._is_entry_lane = np.array([name.rsplit("_", 1)[0] in self._entry_edges for name in road.lane_ids])
-        self._due = _due_by_step(episode.traffic.depart_s, config)
+        self._due = _due_by_step(traffic.depart_s, config)
         self._elapsed = 0
         self._departed: set[str] = set()
         self._collided: set[tuple[str, str]] = set()
         self._lane_commanded: set[str] = set()
         self._warm_up()
 
-    def _load(self, net: Path, episode: Episode) -> None:
+    def _load(self, net: Path, episode: Episode, traffic: Traffic) -> None:
         """Begin the episode in SUMO, which keeps the route file open, so that the file can be removed at once."""
         self._remove_routes()
         descriptor, name = tempfile.mkstemp(prefix="izoo-", suffix=".rou.xml")
         os.close(descriptor)
         self._routes = Path(name)
         try:
-            write_routes(episode.traffic, episode.road, self._routes)
+            write_routes(traffic, episode.road, self._routes)
             with readable_paths(net, self._routes) as (net_file, route_file):
                 self.session.load(sumo_arguments(net_file, route_file, episode.seed, self.config.step_s))
         except IzooError as error:
