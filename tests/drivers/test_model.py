@@ -62,13 +62,14 @@ def test_one_step_is_that_of_the_intelligent_driver_model(step_s: float) -> None
 def test_one_step_is_the_simulators(tmp_path: Path) -> None:
     """Behind the intersection nobody has to obey a signal, so every vehicle does what its drawn parameters say."""
     from izoo.envs import EcoDrivingEnv, EnvConfig
+    from izoo.envs.backend import episode_traffic
     from izoo.envs.views.trajectories import write_trajectories
 
     context = procedural_context(adoption=0.0, inflow_vph_per_lane=500.0)
     env = EcoDrivingEnv(context, config=EnvConfig(emit=("vehicles",), horizon_s=150.0))
     try:
         path = write_trajectories(env.rollout(env.config.control_steps), tmp_path / "trajectories.csv")
-        traffic = env.backend.episode.traffic
+        traffic = episode_traffic(env.config, context, env.road, env.backend.episode.seed)
     finally:
         env.close()
     data = read_following([path], ReadConfig())[0]["light"]
