@@ -6,6 +6,7 @@ import logging
 import os
 import socket
 import sys
+import warnings
 from typing import Any
 
 from izoo.errors import IzooError
@@ -21,8 +22,8 @@ def collecting(cores: int = 1) -> dict[str, Any]:
     It hands tensors over as they lie in memory: pickled, a batch would be copied four times more. What it hands over
     must not be written to; a ``RayCollector`` with ``sync=True`` stacks it, which copies it.
     """
-    environment = {"env_vars": {"RAY_ENABLE_ZERO_COPY_TORCH_TENSORS": "1", "PYTHONWARNINGS": "ignore"}}
-    return {"num_cpus": cores, "num_gpus": 0, "runtime_env": environment}
+    warnings.filterwarnings("ignore", "The given NumPy array is not writable", UserWarning)
+    return {"num_cpus": cores, "num_gpus": 0, "runtime_env": {"env_vars": {"RAY_ENABLE_ZERO_COPY_TORCH_TENSORS": "1"}}}
 
 
 def connect() -> Any:
