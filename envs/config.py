@@ -25,6 +25,7 @@ SCOPES = (STEP, VEHICLE, VEHICLE_AND_LINE)
 ACCELERATION, SPEED = "acceleration", "speed"
 ACTIONS = (ACCELERATION, SPEED)
 WHOLE_WAY, BEFORE, BEFORE_AND_BEHIND = ("speed",), ("speed_before",), ("speed_before", "speed_behind")
+STOP = "stop"
 BY_STEP = MappingProxyType({"decide": STEP, "action": ACCELERATION, "action_parts": WHOLE_WAY})
 """Settings with which accelerations are decided in every step."""
 
@@ -48,7 +49,8 @@ class EnvConfig:
         action: kind of decision: an ``acceleration`` in m/s^2, or a desired ``speed`` as a share of the limit, which
             the vehicle's own car-following keeps to; 1 is uncommanded.
         action_parts: numbers of an action ``speed``: one for the whole way (``speed``), one for the way to the stop
-            line alone (``speed_before``), or one each before and behind it (``speed_before``, ``speed_behind``).
+            line alone (``speed_before``), or one each before and behind it (``speed_before``, ``speed_behind``). A last
+            part ``stop`` says how gently a CV brakes for a red light that it cannot avoid; 1 leaves that to its driver.
         horizon_s: length of an episode, warm-up included (500 s is the paper's "1000 steps"). This and the next two are
             rounded to whole steps.
         warmup_s: time at the start without control or measurement.
@@ -149,10 +151,11 @@ class EnvConfig:
     def _check_decisions(self) -> None:
         check_choice("env.decide", self.decide, SCOPES)
         check_choice("env.action", self.action, ACTIONS)
-        if self.action_parts not in (WHOLE_WAY, BEFORE, BEFORE_AND_BEHIND):
+        if self._speed_parts not in (WHOLE_WAY, BEFORE, BEFORE_AND_BEHIND):
             raise IzooError(
                 f"env.action_parts is {list(self.action_parts)}; give {list(WHOLE_WAY)} for one speed all the way, "
-                f"{list(BEFORE)} for one before the stop line, or {list(BEFORE_AND_BEHIND)} for one on either side."
+                f"{list(BEFORE)} for one before the stop line, or {list(BEFORE_AND_BEHIND)} for one on either side; "
+                f"{STOP} may be added as the last."
             )
         if self.action != SPEED and self.action_parts != WHOLE_WAY:
             raise IzooError(
@@ -188,9 +191,18 @@ class EnvConfig:
         return len(self.action_parts) if self.action == SPEED else 1
 
     @property
-    def action_columns(self) -> int:
-        """Numbers of an action as a simulator reads it: the share behind the stop line is 1 where it is not given."""
-        return 2 if self.action_parts == BEFORE else self.action_size
+    def _speed_parts(self) -> tuple[str, ...]:
+        return self.action_parts[:-1] if self.action_parts[-1:] == (STOP,) else self.action_parts
+
+    @property
+    def behind_column(self) -> int:
+        """Which number of an action is the desired speed behind the stop line; -1: none, it is 1."""
+        return (BEFORE, WHOLE_WAY, BEFORE_AND_BEHIND).index(self._speed_parts) - 1
+
+    @property
+    def stop_column(self) -> int:
+        """Which number of an action says how gently to stop; -1: none, it is 1."""
+        return len(self._speed_parts) if STOP in self.action_parts else -1
 
     @property
     def hold_steps(self) -> int:

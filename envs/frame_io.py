@@ -90,8 +90,7 @@ class FrameReader:
         self.layout = Layout(frames, batch, names)
         self.outlet: Outlet = Copies(self.layout)
         self.action_shape = torch.Size((*self.agents_batch, config.action_size))
-        self._action = self.tensors["action"][..., : config.action_size]
-        self.tensors["action"][..., config.action_size :] = 1.0
+        self._action = self.tensors["action"]
         self._prepared: tuple[TensorDict, TensorDict] | None = None
 
     def _check_action(self, tensordict: TensorDictBase) -> None:

@@ -15,6 +15,7 @@ from izoo.envs.config import (
     BY_STEP,
     MIN_SHARE,
     SPEED,
+    STOP,
     EnvConfig,
 )
 from izoo.errors import CheckedOptions, check_range
@@ -89,14 +90,17 @@ class ActionMode(CheckedOptions):
 
     Attributes:
         sets: settings of the environment that go with it.
-        commands: what the environment must take as actions.
         every_step: whether its policy has to decide in every step.
     """
 
     group = "action"
     sets: ClassVar[Mapping[str, Any]] = {}
-    commands: ClassVar[Mapping[str, Any]] = {}
     every_step: ClassVar[bool] = False
+
+    @property
+    def commands(self) -> Mapping[str, Any]:
+        """What the environment must take as actions."""
+        return {}
 
 
 @dataclass(frozen=True)
@@ -129,8 +133,8 @@ class DirectAction(ActionMode):
 class SpeedAction(ActionMode):
     """The policy's action is a desired speed, as a share of the limit, which the vehicle's own car-following keeps to.
 
-    It may be one number or one each before and behind the stop line (``env.action_parts``). It takes the place of
-    ``algo.initial_accel_mps2`` and ``algo.initial_spread``.
+    It may be one number or one each before and behind the stop line, and a last one how gently to stop
+    (``env.action_parts``). It takes the place of ``algo.initial_accel_mps2`` and ``algo.initial_spread``.
 
     Attributes:
         name: the action mode.
@@ -140,7 +144,6 @@ class SpeedAction(ActionMode):
     """
 
     name: Literal["speed"] = "speed"
-    commands: ClassVar[Mapping[str, Any]] = {"action": SPEED}
     slowest: float = 0.2
     initial: float = 0.85
     spread: float = 0.6
@@ -149,6 +152,11 @@ class SpeedAction(ActionMode):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_range("action.initial", self.initial, self.slowest + 0.01, 0.99)
+
+    @property
+    def commands(self) -> Mapping[str, Any]:
+        """What the environment must take as actions."""
+        return {"action": SPEED}
 
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
         """Return the algorithm that ``build`` makes."""
@@ -166,22 +174,30 @@ class ArriveAction(ActionMode):
     Attributes:
         name: the action mode.
         slowest: no desired speed is a smaller share of the limit.
-        initial: the untrained policy's median of both numbers; 0 is early and at the limit, 1 late and slow.
+        stop: whether a third number says how gently to stop (the part ``stop`` of ``env.action_parts``).
+        initial: the untrained policy's median of all numbers; 0 is early, at the limit and left alone, 1 late, slow and
+            gentle.
         spread: standard deviation of an untrained normal policy before the tanh.
     """
 
     name: Literal["arrive"] = "arrive"
-    commands: ClassVar[Mapping[str, Any]] = {"action": SPEED, "action_parts": BEFORE_AND_BEHIND}
     slowest: float = 0.2
+    stop: bool = False
     initial: float = 0.25
     spread: float = 0.6
     ranges = (("slowest", MIN_SHARE, 0.9), ("initial", 0.01, 0.99), ("spread", *SPREADS))
+
+    @property
+    def commands(self) -> Mapping[str, Any]:
+        """What the environment must take as actions."""
+        return {"action": SPEED, "action_parts": (*BEFORE_AND_BEHIND, STOP) if self.stop else BEFORE_AND_BEHIND}
 
     def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
         """Return the algorithm that ``build`` makes."""
         from izoo.algos.actions.arrival import Arrival, Arriving
 
-        learned = build(_with_initial(config, self.initial, self.spread), features, ActionSpace(0.0, 1.0, size=2))
+        space = ActionSpace(0.0, 1.0, size=env.action_size)
+        learned = build(_with_initial(config, self.initial, self.spread), features, space)
         return Arriving(learned, Arrival(env, self.slowest))
 
 

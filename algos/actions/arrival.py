@@ -14,17 +14,19 @@ from torch import Tensor, nn
 from izoo.algos.drivers.signal_timing import greens
 from izoo.algos.learners import base
 from izoo.contexts.features import feature
-from izoo.envs.config import EnvConfig
+from izoo.envs.config import MIN_SHARE, EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M
 from izoo.errors import IzooError
 
 LATENESS = ("agents", "lateness")
-"""``[*B, A, 2]`` in [0, 1]: the learned policy's action."""
+"""``[*B, A, D]`` in [0, 1]: the learned policy's action, two numbers or three."""
 
 
 class Arrival(nn.Module):
     """Turns lateness into desired speeds: 0 is early and unhindered behind the line, 1 is as late as possible.
+
+    A third number becomes the part ``stop`` of the action: 0 leaves stops to the driver, 1 is the gentlest.
 
     A vehicle aims for its share of the first green that it can reach at the speed limit. Queues are ignored: the policy
     has to learn about them.
@@ -45,11 +47,11 @@ class Arrival(nn.Module):
         self.columns = {name: column for column, name in enumerate(names)}
 
     def forward(self, observation: Tensor, lateness: Tensor) -> Tensor:
-        """Return shares of the limit before and behind the stop line, ``[*B, A, 2]``.
+        """Return the action, ``[*B, A, D]``: shares of the limit before and behind the stop line, and of braking.
 
         Args:
             observation: ``[*B, A, F]``.
-            lateness: ``[*B, A, 2]``.
+            lateness: ``[*B, A, D]``.
         """
         limit = observation[..., self.columns["context_speed_limit_mps"]] * feature("speed_limit_mps").scale
         distance = -observation[..., self.columns["stop_line_distance"]] * DISTANCE_SCALE_M
@@ -57,7 +59,8 @@ class Arrival(nn.Module):
         arrival_s = self.arrival(observation, free_s, lateness[..., 0])
         before = torch.where(free_s > 0.0, free_s / arrival_s.clamp_min(0.1), torch.ones_like(free_s))
         behind = 1.0 - (1.0 - self.slowest) * lateness[..., 1]
-        return torch.stack([before, behind], -1).clamp(self.slowest, 1.0)
+        speeds = torch.stack([before, behind], -1).clamp(self.slowest, 1.0)
+        return torch.cat([speeds, 1.0 - (1.0 - MIN_SHARE) * lateness[..., 2:]], -1)
 
     def arrival(self, observation: Tensor, free_s: Tensor, late: Tensor) -> Tensor:
         """Return in how many seconds vehicles should arrive, ``[*B, A]``.
@@ -79,7 +82,7 @@ class ArrivingPolicy(TensorDictModuleBase):
     """A learned policy whose action becomes :data:`LATENESS`; the action is the desired speeds that follow from it.
 
     Args:
-        learned: writes ``("agents", "action")`` ``[*B, A, 2]``.
+        learned: writes ``("agents", "action")`` ``[*B, A, D]``.
         arrival: turns it into speeds.
     """
 
@@ -100,7 +103,7 @@ class Arriving(base.AlgorithmWrapper):
     """An algorithm whose actions are lateness; see :class:`izoo.algos.learners.base.Algorithm`.
 
     Args:
-        learned: the algorithm, built for actions ``[0, 1]^2``.
+        learned: the algorithm, built for actions ``[0, 1]^D``.
         arrival: turns its actions into speeds.
     """
 

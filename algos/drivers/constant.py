@@ -10,7 +10,7 @@ from izoo.algos.drivers.base import DEFER, ScriptedDriver
 from izoo.algos.learners.base import ACTION, MASK
 from izoo.algos.learners.registry import CAP
 from izoo.contexts.features import feature
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, MIN_SHARE, SPEED, EnvConfig
+from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, MIN_SHARE, SPEED, STOP, EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.observation import SPEED_SCALE_MPS
 from izoo.errors import IzooError, check_range
@@ -70,7 +70,8 @@ class CappedSpeed(ScriptedDriver):
 
     def __init__(self, config: EnvConfig, share: float) -> None:
         super().__init__()
-        self.share, self.speeds = share, config.action_size if config.action == SPEED else 0
+        self.share, self.speeds = share, config.action == SPEED
+        self.parts = [1.0 if part == STOP else share for part in config.action_parts]
         if self.speeds:
             if share < MIN_SHARE:
                 raise IzooError(
@@ -89,7 +90,7 @@ class CappedSpeed(ScriptedDriver):
         if not self.speeds:
             return super().forward(tensordict)
         mask = tensordict.get(MASK)
-        tensordict.set(ACTION, torch.full((*mask.shape, self.speeds), self.share))
+        tensordict.set(ACTION, torch.tensor(self.parts, device=mask.device).expand(*mask.shape, -1).clone())
         return tensordict.set(DEFER, torch.zeros_like(mask))
 
     def drive(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:

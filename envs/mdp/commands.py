@@ -6,6 +6,7 @@ import numpy as np
 
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, MIN_SHARE
 from izoo.envs.tables import compiled
+from izoo.networks.clock import RED
 from izoo.networks.road import APPROACHING, INSIDE
 
 LANE_CHANGE_BRAKING_MPS2 = 0.5
@@ -14,6 +15,11 @@ harder than this: it is slowed to find a gap, and a command would override that.
 TOP_SPEED_MPS = 200.0 / 3.6
 """Maximum speed of an uncommanded vehicle: the default of its class, above all limits that nets have."""
 _CAP_BRAKING_MPS2 = 1.5
+"""Braking to a lower desired speed, and, times a share, for a red light that cannot be avoided."""
+_QUEUE_SPEED_MPS, _QUEUE_GAP_M = 2.0, 3.0
+"""A slower leader stands in a queue, and what is left free behind it."""
+_LAST_METRES_M, _SLOW_MPS = 5.0, 3.0
+"""The end of a stop is left to the driver."""
 
 
 @compiled
@@ -84,7 +90,9 @@ def plan_caps(world, base):  # type: ignore[no-untyped-def]
 
     Args:
         world, base: as for :func:`plan_commands`. Actions ``[A, D]`` are shares of the limit, one for the whole way or
-            one each before and behind the stop line; from 1 on the vehicle is uncommanded, and NaN counts as 1.
+            one each before and behind the stop line, and how gently to stop, a share of 1.5 m/s^2: from where it is
+            enough, the vehicle brakes for a red light that lasts until it stands. From 1 on the vehicle is
+            uncommanded, and NaN counts as 1.
 
     Returns:
         How many rows have a new command, how many are released, and how many have a new maximum speed.
@@ -100,23 +108,28 @@ def plan_caps(world, base):  # type: ignore[no-untyped-def]
         sums = tables.sums[base + vehicle.approach]
         sums.agent_steps += 1
         before_line = vehicle.location == APPROACHING
-        share = action[a, 0 if before_line else action.shape[1] - 1]
+        share = _part(action, a, 0 if before_line else rules.behind_column)
+        gentle = _part(action, a, rules.stop_column if before_line else -1)
         is_new = tables.acting[a] < 0
-        if not is_new and np.isnan(share):
+        if not is_new and (np.isnan(share) or np.isnan(gentle)):
             sums.nan_actions += 1
-        free = is_new or defer[a] != 0 or not share < 1.0
+        free = is_new or defer[a] != 0 or not (share < 1.0 or gentle < 1.0)
         vehicle.deferred = free
-        speed, max_speed, slowing = vehicle.speed_mps, TOP_SPEED_MPS, False
+        speed, max_speed, slower = vehicle.speed_mps, TOP_SPEED_MPS, vehicle.speed_mps
         if free:
             sums.deferred_steps += 1
         else:
             limit = world.exit_limit_mps[vehicle.exit]
             if before_line:
                 limit = world.road.lanes[vehicle.region_lane].limit_mps
-            max_speed = max(share, MIN_SHARE) * limit
-            slowing = speed > max_speed
+            if share < 1.0:
+                max_speed = max(share, MIN_SHARE) * limit
+                slower = min(speed, max(max_speed, speed - _CAP_BRAKING_MPS2 * rules.step_s))
+            if gentle < 1.0:
+                braking = _stop_braking(vehicle, tables.signal, max(gentle, MIN_SHARE) * _CAP_BRAKING_MPS2)
+                slower = min(slower, speed - braking * rules.step_s)
+        slowing = slower < speed
         if slowing and not vehicle.yielding and vehicle.location != INSIDE:
-            slower = max(max_speed, speed - _CAP_BRAKING_MPS2 * rules.step_s)
             if not (vehicle.commanded and slower == vehicle.target_mps):
                 vehicle.commanded = 1
                 vehicle.target_mps = slower
@@ -131,3 +144,26 @@ def plan_caps(world, base):  # type: ignore[no-untyped-def]
             work.capped[caps], work.cap_mps[caps] = r, max_speed
             caps += 1
     return commands, releases, caps
+
+
+@compiled(forceinline=True)
+def _part(action, a, column):  # type: ignore[no-untyped-def]
+    return action[a, column] if column >= 0 else np.float32(1.0)
+
+
+@compiled
+def _stop_braking(vehicle, signal, least_mps2):  # type: ignore[no-untyped-def]
+    """Return the even braking that ends where a vehicle must stand, in m/s^2; 0 where it is not to brake yet.
+
+    It stands at the stop line, or behind a leader that stands before it. It must where the light is red, does not allow
+    its movement, and stays so for as long as even braking takes. Stops that need more than 1.5 m/s^2 are the driver's.
+    """
+    shown = signal[vehicle.approach, vehicle.exit]
+    ahead, speed = -vehicle.stop_line_distance_m, vehicle.speed_mps
+    if vehicle.has_leader and vehicle.leader_speed_mps < _QUEUE_SPEED_MPS:
+        ahead = min(ahead, vehicle.leader_gap_m - _QUEUE_GAP_M)
+    if shown.colour != RED or shown.legal_on_red or ahead < _LAST_METRES_M or speed < _SLOW_MPS:
+        return 0.0
+    needed = 0.5 * speed * speed / ahead
+    certain = shown.change_s >= 2.0 * ahead / speed
+    return needed if certain and least_mps2 <= needed <= _CAP_BRAKING_MPS2 else 0.0

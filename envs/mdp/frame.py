@@ -45,7 +45,7 @@ def frame_fields(config: EnvConfig) -> Iterator[Field]:
     a, v, p = config.num_agents, config.num_vehicles, config.num_approaches
     f = len(observation_names(config))
     f32, i32, i64, u8 = (np.dtype(t) for t in (np.float32, np.int32, np.int64, np.uint8))
-    yield Field("action", f32, (a, config.action_columns))
+    yield Field("action", f32, (a, config.action_size))
     yield Field("defer", u8, (a,))
     yield Field("lane_change", i64, (a,))
     yield Field("observation", f32, (a, f))

@@ -75,13 +75,14 @@ def _phase_at(time_s, clock):  # type: ignore[no-untyped-def]
 def read_clock(time_s, clock, signal):  # type: ignore[no-untyped-def]
     """Write what is in force from ``time_s`` on to the records ``signal [P, Q]``.
 
-    That is the colour (0 green, 1 yellow, 2 red), and the seconds until changes, at most ``NEVER_S``.
+    That is the colour (0 green, 1 yellow, 2 red), whether a turn on red is legal, and the seconds until changes, at
+    most ``NEVER_S``.
     """
     phase, elapsed = _phase_at(time_s, clock)
     for p in range(signal.shape[0]):
         for q in range(signal.shape[1]):
             shown, now = clock.shown[p * signal.shape[1] + q, phase], signal[p, q]
-            now.colour = shown.colour
+            now.colour, now.legal_on_red = shown.colour, shown.legal_on_red
             now.change_s = min(max(shown.change_s - elapsed, 0.0), NEVER_S)
             now.second_green_s = min(max(shown.second_green_s - elapsed, 0.0), NEVER_S)
             now.third_green_s = min(max(shown.third_green_s - elapsed, 0.0), NEVER_S)

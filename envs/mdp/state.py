@@ -111,7 +111,7 @@ def empty_tables(config: EnvConfig, road: RoadNet, demand: np.ndarray) -> Tables
         agent_row=np.full(a, FREE),
         acting=np.full(a, -1),
         stage=np.zeros(a, np.uint8),
-        decision=np.zeros((a, config.action_columns), np.float32),
+        decision=np.zeros((a, config.action_size), np.float32),
         deferred=np.zeros(a, np.uint8),
         members=np.zeros(c, np.int64),
         leavers=np.zeros(c, np.int64),
@@ -192,7 +192,13 @@ _NUMBERS = {field.name: getattr(RewardConfig, field.name) for field in fields(Re
 Rules = np.dtype(
     [
         *((name, "f8") for name in ("step_s", "temperature_c", "humidity_pct", "fleet_g_per_step", "sensor_range_m")),
-        *((name, "i8") for name in ("scope", "hold_steps", "control_steps", "total_steps", "num_vehicles")),
+        *(
+            (name, "i8")
+            for name in (
+                *("scope", "hold_steps", "control_steps", "total_steps", "num_vehicles"),
+                *("behind_column", "stop_column"),
+            )
+        ),
         *((name, "u1") for name in ("speeds", "electric")),
         *((f"emit_{name}", "u1") for name in ("vector", "vehicles", "signal", "metrics", "number")),
         *((name, "u1" if isinstance(value, bool) else "f8") for name, value in _NUMBERS.items()),
@@ -218,6 +224,8 @@ def rules_of(config: EnvConfig, context: Context, units: Units) -> np.ndarray:
         "control_steps": config.control_steps,
         "total_steps": config.total_steps,
         "num_vehicles": config.num_vehicles,
+        "behind_column": config.behind_column,
+        "stop_column": config.stop_column,
         "speeds": config.action == SPEED,
         "electric": context.engine == "electric",
         "emit_vector": "reward_vector" in config.emit,

@@ -269,7 +269,7 @@ class TwinBackend:
                 f"advance({shown if len(shown) < 80 else shown[:80] + '...'}): give each of {self.num_envs} "
                 "environments a whole number of decisions, 0 or more and fewer than its episode has left."
             )
-        self.frames["action"][..., : self.config.action_size] = 0.0
+        self.frames["action"][:] = 0.0
         self.frames["lane_change"][:] = KEEP_LANE
         try:
             self.frames["defer"][:] = 1

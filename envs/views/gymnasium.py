@@ -86,7 +86,7 @@ class EcoDrivingJoint(_View[dict[str, np.ndarray]]):
       ``mask`` ``[A]`` int8: the slot holds a CV. Where ``config.decide`` is not ``step`` also ``decides`` ``[A]`` int8:
       the CV must decide, and the actions of others are not read.
     - action: ``[A]`` accelerations in m/s^2, clipped to [-4.5, 2.6]; NaN leaves a CV uncommanded and is counted. With
-      ``config.action`` of ``speed`` shares of the speed limit, ``[A]``, or ``[A, 2]`` with two ``action_parts``. With
+      ``config.action`` of ``speed`` shares of the speed limit, ``[A]``, or ``[A, D]`` with ``D`` ``action_parts``. With
       ``config.lane_change`` a dictionary: these as ``acceleration``, and ``lane_change`` ``[A]`` (0 right, 1 keep, 2
       left).
     - reward: the mean over the CVs that acted, 0 if there was none.
@@ -151,7 +151,7 @@ class EcoDrivingEgo(_View[np.ndarray]):
 
     - observation: ``[F]`` float32, columns in :attr:`observation_names`; zero after the ego has left.
     - action: ``[1]``, acceleration in m/s^2, clipped to [-4.5, 2.6]; NaN leaves it uncommanded and is counted. With
-      ``config.action`` of ``speed`` a share of the speed limit, or two, one for each of ``action_parts``. Where
+      ``config.action`` of ``speed`` a share of the speed limit, or several, one for each of ``action_parts``. Where
       ``config.decide`` is not ``step``, a step lasts until the ego decides again or has left. With
       ``config.lane_change`` a dictionary: this as ``acceleration``, and ``lane_change``, a number (0 right, 1 keep, 2
       left).

@@ -69,6 +69,8 @@ def test_speeds_are_those_that_arrive_in_time(observation: torch.Tensor, late: f
     distance_m = -float(observation[0, arrival.columns["stop_line_distance"]]) * DISTANCE_SCALE_M
     assert float(speeds[0, 0]) * LIMIT_MPS == pytest.approx(distance_m / arrival_s, rel=1e-4)
     assert float(speeds[0, 1]) == pytest.approx(0.8)
+    three = arrival(observation, torch.tensor([[late, 0.25, 0.5]]))
+    assert torch.equal(three[:, :2], speeds) and float(three[0, 2]) == pytest.approx(0.55)
 
 
 def test_who_is_past_the_line_or_would_have_to_creep_stays_within_bounds() -> None:
@@ -78,18 +80,21 @@ def test_who_is_past_the_line_or_would_have_to_creep_stays_within_bounds() -> No
     assert arrival(far, torch.tensor([[0.9, 1.0]]))[0].tolist() == pytest.approx([0.2, 0.2])
 
 
-@pytest.mark.parametrize("name", ["ppo", "ddpg"])
-def test_learners_learn_from_what_they_said(name: str) -> None:
+@pytest.mark.parametrize(("name", "stop"), [("ppo", False), ("ppo", True), ("ddpg", False)])
+def test_learners_learn_from_what_they_said(name: str, stop: bool) -> None:
     torch.manual_seed(0)
-    algorithm: Any = make_algorithm(preset(name), ArriveAction(), CONFIG)
+    mode = ArriveAction(stop=stop)
+    config = EnvConfig(**(vars(CONFIG) | mode.commands))
+    algorithm: Any = make_algorithm(preset(name), mode, config)
     with (
-        contextlib.closing(TwinEnv(2, crossing(adoption=0.6), config=CONFIG, threads=1, shard=0)) as env,
+        contextlib.closing(TwinEnv(2, crossing(adoption=0.6), config=config, threads=1, shard=0)) as env,
         torch.no_grad(),
     ):
         batch = env.rollout(40, algorithm.policy, break_when_any_done=False)
     asked = batch[MASK] & batch[DECIDES]
     assert ((batch[LATENESS][asked] > 0.0) & (batch[LATENESS][asked] < 1.0)).all()
-    assert ((batch[ACTION][asked] >= 0.2) & (batch[ACTION][asked] <= 1.0)).all()
+    assert ((batch[ACTION][asked] >= 0.1) & (batch[ACTION][asked] <= 1.0)).all()
+    assert batch[ACTION].shape[-1] == 2 + stop
     decisions = Decisions()(batch)
     given: dict[str, torch.Tensor] = {}
     algorithm.learned.update = lambda own, progress: given.update(action=own[ACTION]) or {}

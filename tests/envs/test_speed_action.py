@@ -60,9 +60,10 @@ def motion(frames: TensorDict) -> list[dict[int, tuple[float, float]]]:
 
 
 @pytest.mark.parametrize("simulator", SIMULATORS)
-def test_a_share_of_1_is_uncommanded(simulator: str) -> None:
+@pytest.mark.parametrize("parts", [("speed",), ("speed_before", "stop")])
+def test_a_share_of_1_is_uncommanded(simulator: str, parts: tuple[str, ...]) -> None:
     """Bit for bit, also on several lanes."""
-    ours = episode(simulator, crossing(), speeds(), constant(1.0))
+    ours = episode(simulator, crossing(), speeds(action_parts=parts), constant(1.0, parts=len(parts)))
     theirs = episode(simulator, crossing(), speeds(action="acceleration"), defer)
     left_out = [("agents", "action"), ("agents", "defer")]
     assert same(ours.exclude(*left_out), theirs.exclude(*left_out))
@@ -99,6 +100,31 @@ def test_sumo_and_twin_drive_alike_with_a_speed_before_and_one_behind_the_line()
     steps = assert_same_motion(one_lane(adoption=0.5), config, lambda: two_parts)
     free = [speed for step in steps for number, (x, speed) in step.items() if number % 2 and x < -30.0]
     assert max(free) > 0.9 * LIMIT_MPS
+
+
+def gentle_stops(state: TensorDictBase) -> TensorDictBase:
+    """At the limit, but with half of 1.5 m/s^2 where a stop is certain."""
+    return set_action(state, torch.tensor([1.0, 0.5]).expand(*state["agents", "mask"].shape, 2).clone())
+
+
+def test_sumo_and_twin_stop_gently_alike() -> None:
+    """Vehicles brake from far before a red light that they cannot avoid; their own driver brakes later and harder."""
+    config, context = speeds(action_parts=("speed_before", "stop")), one_lane(inflow_vph_per_lane=200.0, adoption=1.0)
+
+    def gentlest_stop_mps2(steps: list[dict[int, Any]]) -> float:
+        """Mean braking from 14 to 6 m/s before the line of the vehicle that needs the longest way for it."""
+        braking = []
+        for number in set().union(*steps):
+            way = [step[number] for step in steps if number in step and step[number][0] < 0.0]
+            fast = [x for x, speed in way if speed > 14.0]
+            slow = [x for x, speed in way if speed < 6.0 and fast and x > fast[-1]]
+            if slow:
+                braking.append((14.0**2 - 6.0**2) / 2.0 / (slow[0] - fast[-1]))
+        return min(braking)
+
+    gentle = assert_same_motion(context, config, lambda: gentle_stops)
+    free = motion(episode("twin", context, config, constant(1.0, parts=2)))
+    assert 0.7 < gentlest_stop_mps2(gentle) < 0.8 * gentlest_stop_mps2(free)
 
 
 @pytest.mark.parametrize("simulator", SIMULATORS)
@@ -146,6 +172,8 @@ def test_drivers_that_command_accelerations_are_refused(name: str) -> None:
 def test_wrong_options_and_actions_are_refused() -> None:
     with pytest.raises(IzooError, match="one on either side"):
         EnvConfig(action="speed", action_parts=("speed", "speed_behind"))
+    with pytest.raises(IzooError, match="stop may be added"):
+        EnvConfig(action="speed", action_parts=("stop",))
     with pytest.raises(IzooError, match=r"env\.action=speed"):
         EnvConfig(action_parts=("speed_before", "speed_behind"))
     with pytest.raises(IzooError, match="lane_change"):
