@@ -27,8 +27,9 @@ from izoo.imports import imported
 from izoo.metrics import REFERENCE
 
 if TYPE_CHECKING:
+    from izoo.envs.backend import Backend
     from izoo.envs.config import EnvConfig, RewardConfig
-    from izoo.envs.env import Contexts, EcoDrivingBase, EcoDrivingEnv, SumoParallelEnv
+    from izoo.envs.env import Contexts, EcoDrivingBase, EcoDrivingEnv, SideBySideEnv, SumoParallelEnv
     from izoo.envs.twin_env import TwinEnv
 
 _HOME = {
@@ -60,8 +61,10 @@ class Simulator:
 
     Attributes:
         label: what sentences call it.
-        single: ``module:function``: given the settings, returns the frames and the backend of one environment.
-        several: ``module:Class``: environments side by side, made as by :func:`make`.
+        backend: ``module:Class``: given the settings, and how many, it makes the backend of environments in this
+            process (:class:`~izoo.envs.backend.Backend`).
+        several: ``module:Class``: environments side by side, made as by :func:`make`; empty:
+            :class:`~izoo.envs.env.SideBySideEnv` on ``backend``.
         check: ``module:function``: raises :class:`~izoo.errors.IzooError` for settings that it cannot play.
         batched: environments side by side are stepped in this process, and not each in a process of its own.
         saves: they can be saved, copied, and played on for a while by themselves (``state_dict``, ``branch``,
@@ -70,12 +73,22 @@ class Simulator:
     """
 
     label: str
-    single: str
-    several: str
+    backend: str
+    several: str = ""
     check: str = ""
     batched: bool = False
     saves: bool = False
     window: bool = False
+
+    def make_backend(self, config: EnvConfig, num_envs: int = 1, **options: Any) -> Backend:
+        """Return the backend of environments in this process."""
+        return imported("simulator", self.backend)(config, num_envs, **options)
+
+    def environments(self) -> type[SideBySideEnv]:
+        """Return the class of environments side by side."""
+        if self.several:
+            return imported("simulator", self.several)
+        return type("SideBySide", (imported("simulator", "izoo.envs.env:SideBySideEnv"),), {"simulator": self})
 
     def check_settings(self, config: EnvConfig) -> None:
         """Raise :class:`~izoo.errors.IzooError` for settings that it cannot play."""
@@ -84,10 +97,10 @@ class Simulator:
 
 
 SIMULATORS = {
-    "sumo": Simulator("SUMO", "izoo.envs.sumo.simulator:single", "izoo.envs.env:SumoParallelEnv", window=True),
+    "sumo": Simulator("SUMO", "izoo.envs.sumo.simulator:SumoSimulator", "izoo.envs.env:SumoParallelEnv", window=True),
     "twin": Simulator(
         "the twin",
-        "izoo.envs.twin.backend:single",
+        "izoo.envs.twin.backend:TwinBackend",
         "izoo.envs.twin_env:TwinEnv",
         "izoo.envs.twin.backend:check_settings",
         batched=True,
@@ -125,7 +138,7 @@ def make(
         return imported("simulator", "izoo.envs.env:EcoDrivingEnv")(
             contexts, config=config, simulator=simulator, **options
         )
-    return imported("simulator", chosen.several)(n, contexts, config=config, **options)
+    return chosen.environments()(n, contexts, config=config, **options)
 
 
 def __getattr__(name: str) -> Any:

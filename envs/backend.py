@@ -46,7 +46,15 @@ def episode_traffic(config: EnvConfig, context: Context, road: RoadNet, seed: in
 
 
 class Backend(Protocol):
-    """The simulations behind ``N`` frames; environment ``k`` writes row ``k``."""
+    """The simulations behind ``N`` frames; environment ``k`` writes row ``k``.
+
+    A simulator that plays one intersection at a time needs a :class:`~izoo.envs.simulation.Simulation` alone.
+
+    Attributes:
+        frames: the arrays ``[N, ...]`` (:func:`izoo.envs.mdp.frame.map_frames`).
+    """
+
+    frames: dict[str, np.ndarray]
 
     @property
     def started(self) -> bool:

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from izoo.contexts.features import OBSERVED, check_observed
 from izoo.envs.mdp.observation import NEIGHBOURS
 from izoo.envs.mdp.reward import RewardConfig
-from izoo.errors import IzooError, check_choice, check_range, check_types
+from izoo.errors import CheckedOptions, IzooError, check_choice, check_range
 
 __all__ = ["EnvConfig", "RewardConfig"]
 ACTION_LOW_MPS2, ACTION_HIGH_MPS2 = -4.5, 2.6
@@ -31,7 +31,7 @@ BY_STEP = MappingProxyType({"decide": STEP, "action": ACCELERATION, "action_part
 
 
 @dataclass(frozen=True)
-class EnvConfig:
+class EnvConfig(CheckedOptions):
     """Everything about an environment that is not the context.
 
     Attributes:
@@ -98,8 +98,22 @@ class EnvConfig:
     gui: bool = False
     late_vehicle: int = 0
 
+    group = "env"
+    ranges = (
+        ("step_s", 0.05, 1.0, "s"),
+        ("horizon_s", 0.05, 86400.0, "s"),
+        ("warmup_s drain_s", 0.0, 86400.0, "s"),
+        ("num_agents", 1, MAX_AGENTS),
+        ("num_vehicles", 1, 8192),
+        ("num_approaches", 1, 26),
+        ("recycle_episodes", 1, 10**9),
+        ("late_vehicle", 0, 10**6),
+        ("watchdog_s", 0.1, 86400.0, "s"),
+        ("sensor_range_m", 1.0, 1e5, "m"),
+    )
+
     def __post_init__(self) -> None:
-        check_types("env", self)
+        super().__post_init__()
         # Hydra hands over lists; tuples keep the config hashable.
         for name in ("neighbours", "emit", "action_parts"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
@@ -110,7 +124,6 @@ class EnvConfig:
             raise IzooError(f"env.neighbours is {list(self.neighbours)}; name each once.")
         for name in self.emit:
             check_choice("emit group", name, EMIT_GROUPS)
-        check_range("step_s", self.step_s, 0.05, 1.0, "s")
         step_ms = 1000.0 * self.step_s
         if abs(step_ms - round(step_ms)) > 1e-6:
             near = " or ".join(f"{ms / 1000.0:g}" for ms in (int(step_ms), int(step_ms) + 1))
@@ -119,17 +132,6 @@ class EnvConfig:
             )
         self._check_hold()
         self._check_decisions()
-        check_range("horizon_s", self.horizon_s, self.step_s, 86400.0, "s")
-        check_range("warmup_s", self.warmup_s, 0.0, 86400.0, "s")
-        check_range("drain_s", self.drain_s, 0.0, 86400.0, "s")
-        check_range("num_agents", self.num_agents, 1, MAX_AGENTS)
-        check_range("num_vehicles", self.num_vehicles, 1, 8192)
-        check_range("num_approaches", self.num_approaches, 1, 26)
-        check_range("recycle_episodes", self.recycle_episodes, 1, 10**9)
-        check_range("late_vehicle", self.late_vehicle, 0, 10**6)
-        check_range("watchdog_s", self.watchdog_s, 0.1, 86400.0, "s")
-        if self.sensor_range_m is not None:
-            check_range("sensor_range_m", self.sensor_range_m, 1.0, 1e5, "m")
         if self.control_steps < 1:
             raise IzooError(
                 f"horizon_s is {self.horizon_s:g} and warmup_s {self.warmup_s:g}; the horizon must be the longer one, "

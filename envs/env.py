@@ -18,7 +18,7 @@ from izoo.contexts.context import Context
 from izoo.contexts.procedural import ProceduralSource
 from izoo.contexts.source import ContextSource, Schedule, as_schedule, reseed
 from izoo.cores import one_torch_thread
-from izoo.envs import simulator_of, specs
+from izoo.envs import Simulator, simulator_of, specs
 from izoo.envs.backend import CLOSED, Backend, Play
 from izoo.envs.config import MAX_WORKERS, EnvConfig, checked_config
 from izoo.envs.frame_io import FrameReader, set_entry
@@ -27,7 +27,6 @@ from izoo.envs.mdp.snapshot import Scene
 from izoo.envs.render import draw
 from izoo.envs.sumo.workers import SumoWorkers
 from izoo.errors import IzooError, check_seed, check_whole, plain_number
-from izoo.imports import imported
 from izoo.networks.road import RoadNet
 
 _log = logging.getLogger("izoo")
@@ -49,8 +48,7 @@ class EcoDrivingBase(EnvBase):
         config: settings of the environment.
         seed: base seed; with an episode's number it determines the episode's context and seed.
         batch_size: ``[]`` or ``[N]``.
-        frames: the arrays ``[N, ...]`` that the backend writes (``N`` of 1 for ``[]``).
-        backend: simulates.
+        backend: simulates ``N`` environments (1 for ``[]``).
         first, stride: numbers of the episodes.
     """
 
@@ -66,19 +64,18 @@ class EcoDrivingBase(EnvBase):
         config: EnvConfig,
         seed: int,
         batch_size: list[int],
-        frames: dict[str, np.ndarray],
         backend: Backend,
         first: int = 0,
         stride: int = 1,
     ) -> None:
         super().__init__(device=None, batch_size=torch.Size(batch_size))
         self.is_closed = False  # TorchRL closes only what says that it is open
-        self.config, self.frames, self.backend = config, frames, backend
+        self.config, self.frames, self.backend = config, backend.frames, backend
         self.schedule = as_schedule(ProceduralSource() if contexts is None else contexts, check_seed(seed))
         self._first, self._stride = first, stride
         self._restart_episodes()
         leaves = [*self.leaves, *(name for name in (TEAM_REWARD,) if name in config.emit)]
-        self.reader = FrameReader(config, frames, self.batch_size, leaves)
+        self.reader = FrameReader(config, self.frames, self.batch_size, leaves)
         self.observation_names = observation_names(config)
         self.group_map = {"agents": [f"agent_{k}" for k in range(config.num_agents)]}
         self.observation_spec = specs.observation_spec(config, self.batch_size)
@@ -235,6 +232,28 @@ class EcoDrivingBase(EnvBase):
         begun = self._begin_where_ended()
         return tensordict, state if begun is None else begun
 
+    def scene(self, index: int = 0) -> Scene:
+        """Return the present state of an environment, on the twin and in this process whether or not it is emitted.
+
+        Raises:
+            IzooError: no episode has begun, or there is no such environment.
+        """
+        self.require_open()
+        return self.backend.scene(index)
+
+    @property
+    def road(self) -> RoadNet:
+        """The road net of the present episode, of the first environment."""
+        return self.scene().road
+
+    def render(self, *_: Any, index: int = 0, span_m: float = 120.0, size_px: int = 640, **__: Any) -> np.ndarray:
+        """Return a top view ``[size_px, size_px, 3]`` uint8 of an environment's present state; no screen is needed.
+
+        TorchRL's ``VideoRecorder`` gets its pictures from here through ``PixelRenderTransform``.
+        """
+        self.require_started("render")
+        return draw(self.scene(index), span_m=span_m, size_px=size_px)
+
     def close(self, *, raise_if_closed: bool = True) -> None:
         """End all simulations."""
         self.backend.close()
@@ -263,28 +282,19 @@ def numbering(number: int | None, of: int, count: int, seed: int, *, name: str =
         IzooError: there is no such group, or it is not said which this is.
     """
     check_whole(f"num_{name}s", of, 1, MAX_WORKERS)
-    if number is None:
-        if of > 1:
-            raise IzooError(f"num_{name}s is {of}, and it is not said which of them this is; give {name}=k, too.")
-        _warn_of_doubles(name, seed)
-    else:
+    if number is not None:
         check_whole(name, number, 0, of - 1)
-    return (number or 0) * count, of * count
-
-
-def _warn_of_doubles(name: str, seed: int) -> None:
-    """Say that environments which were not told their numbers may play the same episodes.
-
-    An environment cannot know of the others beside it, but that it was made in a process of ``multiprocessing``, as
-    TorchRL's ``ParallelEnv`` does, makes others likely.
-    """
-    if multiprocessing.parent_process() is not None:
-        # No warning of Python: TorchRL silences those in its workers.
+    elif of > 1:
+        raise IzooError(f"num_{name}s is {of}, and it is not said which of them this is; give {name}=k, too.")
+    elif multiprocessing.parent_process() is not None:
+        # TorchRL's ParallelEnv, say, makes others beside it. No warning of Python: TorchRL silences those in its
+        # workers.
         _log.warning(
             "an environment was made in a worker process without %s=: every such process with seed=%s plays the same "
             "episodes. Give %s=k and num_%ss=N, or %s=0 if that is meant.",
             *(name, seed, name, name, name),
         )
+    return (number or 0) * count, of * count
 
 
 class EcoDrivingEnv(EcoDrivingBase):
@@ -321,8 +331,7 @@ class EcoDrivingEnv(EcoDrivingBase):
     ) -> None:
         config = checked_config(config)
         numbers = numbering(worker, num_workers, 1, seed, name="worker")
-        frames, backend = imported("simulator", simulator_of(simulator).single)(config)
-        super().__init__(contexts, config, seed, [], frames, backend, *numbers)
+        super().__init__(contexts, config, seed, [], simulator_of(simulator).make_backend(config), *numbers)
 
     def _reset(
         self,
@@ -346,30 +355,44 @@ class EcoDrivingEnv(EcoDrivingBase):
             self.backend.begin({0: Play(planned, planned_seed if seed is None else seed, number)})
             return self._frame()
 
-    def scene(self) -> Scene:
-        """Return the present state, whether or not it is emitted: context, road, vehicles, signals, metrics.
 
-        Raises:
-            IzooError: no episode has begun.
-        """
-        return self.backend.scene()
+class SideBySideEnv(EcoDrivingBase):
+    """``N`` intersections that a backend plays side by side; batch size ``[N]``.
 
-    @property
-    def road(self) -> RoadNet:
-        """The road net of the present episode."""
-        return self.scene().road
+    Args:
+        num_envs: ``N``.
+        contexts, config, seed: as for :class:`EcoDrivingEnv`; the environments share the schedule.
+        shard, num_shards: where several such environments share the schedule, as in TorchRL's ``ParallelEnv``, which of
+            how many this is.
+        options: of the simulator's backend.
+    """
 
-    def render(self, *_: Any, span_m: float = 120.0, size_px: int = 640, **__: Any) -> np.ndarray:
-        """Return a top view ``[size_px, size_px, 3]`` uint8 of the present state; no screen is needed.
+    simulator: Simulator
 
-        TorchRL's ``VideoRecorder`` gets its pictures from here through ``PixelRenderTransform``.
-        """
-        self.require_started("render")
-        return draw(self.scene(), span_m=span_m, size_px=size_px)
+    def __init__(
+        self,
+        num_envs: int = 2,
+        contexts: Contexts | None = None,
+        *,
+        config: EnvConfig | None = None,
+        seed: int = 0,
+        shard: int | None = None,
+        num_shards: int = 1,
+        **options: Any,
+    ) -> None:
+        config = checked_config(config)
+        numbers = numbering(shard, num_shards, num_envs, seed)
+        backend = self.make_backend(config, num_envs, **options)
+        super().__init__(contexts, config, seed, [num_envs], backend, *numbers)
+        self.num_envs = num_envs
+
+    def make_backend(self, config: EnvConfig, num_envs: int, **options: Any) -> Backend:
+        """Return what simulates."""
+        return self.simulator.make_backend(config, num_envs, **options)
 
 
-class SumoParallelEnv(EcoDrivingBase):
-    """``N`` intersections on SUMO, each simulated by a process of its own; batch size ``[N]``.
+class SumoParallelEnv(SideBySideEnv):
+    """``N`` intersections on SUMO, each simulated by a process of its own; see :class:`SideBySideEnv`.
 
     It does what TorchRL's ``ParallelEnv`` does, by other means: workers write their frames into shared arrays, and a
     worker that dies or hangs is replaced alone: its step is reported as truncated, with the observation it last had,
@@ -377,30 +400,21 @@ class SumoParallelEnv(EcoDrivingBase):
 
     Args:
         num_workers: ``N``.
-        contexts, config, seed: as for :class:`~izoo.envs.EcoDrivingEnv`; the ``N`` workers share the schedule.
-        shard, num_shards: where several such environments share the schedule, as in TorchRL's ``ParallelEnv``, which of
-            how many this is.
+        contexts, options: as for :class:`SideBySideEnv`.
     """
 
-    def __init__(
-        self,
-        num_workers: int = 2,
-        contexts: Contexts | None = None,
-        *,
-        config: EnvConfig | None = None,
-        seed: int = 0,
-        shard: int | None = None,
-        num_shards: int = 1,
-    ) -> None:
-        config = checked_config(config)
+    backend: SumoWorkers
+
+    def __init__(self, num_workers: int = 2, contexts: Contexts | None = None, **options: Any) -> None:
+        super().__init__(num_workers, contexts, **options)
+        self.num_workers = num_workers
+
+    def make_backend(self, config: EnvConfig, num_envs: int, **options: Any) -> SumoWorkers:
         if config.gui:
             raise IzooError("env.gui works with one environment only; use EcoDrivingEnv (collector=single).")
-        numbers = numbering(shard, num_shards, num_workers, seed)
-        workers = SumoWorkers(config, num_workers)
-        super().__init__(contexts, config, seed, [num_workers], workers.frames, workers, *numbers)
-        self.num_workers = num_workers
+        return SumoWorkers(config, num_envs, **options)
 
     @property
     def restarts(self) -> int:
         """How many workers were replaced because they were lost."""
-        return self.backend.restarts  # type: ignore[attr-defined]
+        return self.backend.restarts

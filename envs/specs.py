@@ -41,7 +41,9 @@ def observation_spec(config: EnvConfig, batch: torch.Size) -> Composite:
     if TEAM_REWARD in config.emit:
         root[TEAM_REWARD] = Unbounded((*batch, 1))
     if "context" in config.emit:
-        root["context"] = context_spec(batch)
+        columns = {name: Unbounded((*batch, 1)) for name in CONTEXT_VALUES}
+        columns |= {name: Unbounded((*batch, 1), dtype=torch.int64) for name in CONTEXT_IDS}
+        root["context"] = Composite(columns, shape=batch)
     if "metrics" in config.emit:
         root["metrics"] = _metrics(config, batch)
     return root
@@ -72,14 +74,6 @@ def _metrics(config: EnvConfig, batch: torch.Size) -> Composite:
     approach["mask"] = _flag(p)
     episode = Composite({name: Unbounded((*batch, 1)) for name in EPISODE_METRICS}, shape=batch)
     return Composite(approach=approach, episode=episode, shape=batch)
-
-
-def context_spec(batch: torch.Size) -> Composite:
-    """Spec of the context group."""
-    one = (*batch, 1)
-    columns: dict[str, Unbounded] = {name: Unbounded(one) for name in CONTEXT_VALUES}
-    columns |= {name: Unbounded(one, dtype=torch.int64) for name in CONTEXT_IDS}
-    return Composite(columns, shape=batch)
 
 
 def action_spec(config: EnvConfig, batch: torch.Size) -> Composite:

@@ -18,13 +18,11 @@ from izoo import __version__
 from izoo.contexts.source import Schedule
 from izoo.cores import usable_cores
 from izoo.envs.backend import Play
-from izoo.envs.config import EnvConfig, checked_config
-from izoo.envs.env import Contexts, EcoDrivingBase, numbering
+from izoo.envs.config import EnvConfig
+from izoo.envs.env import Contexts, SideBySideEnv
 from izoo.envs.mdp.columns import Vehicle
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
-from izoo.envs.mdp.snapshot import Scene
 from izoo.envs.model_version import MODEL_VERSION
-from izoo.envs.render import draw
 from izoo.envs.twin.backend import TwinBackend
 from izoo.envs.twin.runtime.layout import STATE
 from izoo.errors import IzooError, check_whole
@@ -67,7 +65,7 @@ def _planned(schedule: Schedule, number: int) -> Play:
     return Play(*schedule(number), number)
 
 
-class TwinEnv(EcoDrivingBase):
+class TwinEnv(SideBySideEnv):
     """``N`` intersections on the twin, all in this process; batch size ``[N]``, and else what ``SumoParallelEnv`` is.
 
     A context and a seed give the same trajectory whatever the number of environments and threads, and whatever was
@@ -77,11 +75,10 @@ class TwinEnv(EcoDrivingBase):
 
     Args:
         num_envs: ``N``.
-        contexts, config, seed: as for :class:`~izoo.envs.EcoDrivingEnv`; the ``N`` environments share the schedule.
+        contexts, options: as for :class:`~izoo.envs.env.SideBySideEnv`.
         threads: how many threads share the environments out among them; by default one per core that is usable.
         surrogate: what computes CO2: ``torch``, the module :class:`~izoo.emissions.moves.MovesSurrogate` in one call
             for all vehicles; ``cuda``, the same on a GPU; or ``compiled``, the same function without torch.
-        shard, num_shards: as for :class:`~izoo.envs.SumoParallelEnv`.
     """
 
     backend: TwinBackend
@@ -92,19 +89,16 @@ class TwinEnv(EcoDrivingBase):
         num_envs: int = 64,
         contexts: Contexts | None = None,
         *,
-        config: EnvConfig | None = None,
-        seed: int = 0,
         threads: int | None = None,
         surrogate: str = "torch",
-        shard: int | None = None,
-        num_shards: int = 1,
+        **options: Any,
     ) -> None:
-        config = checked_config(config)
-        numbers = numbering(shard, num_shards, num_envs, seed)
-        backend = TwinBackend(config, num_envs, usable_cores() if threads is None else threads, surrogate)
-        super().__init__(contexts, config, seed, [num_envs], backend.frames, backend, *numbers)
-        self.num_envs = num_envs
-        backend.played = self.reader.take
+        threads = usable_cores() if threads is None else threads
+        super().__init__(num_envs, contexts, threads=threads, surrogate=surrogate, **options)
+        self.backend.played = self.reader.take
+
+    def make_backend(self, config: EnvConfig, num_envs: int, **options: Any) -> TwinBackend:
+        return TwinBackend(config, num_envs, **options)
 
     def _set_seed(self, seed: int | None) -> None:
         super()._set_seed(seed)
@@ -173,14 +167,7 @@ class TwinEnv(EcoDrivingBase):
             IzooError: another number of environments, another schedule, other settings or another user saved it; the
                 environments stay as they are.
         """
-        plays = self._plays_of(state)
-        try:
-            self.backend.check_states(plays, [packed.numpy() for packed in state["packed"]])
-        except IzooError:
-            if self.backend.started:
-                self._look_ahead()
-            raise
-        self.backend.unpack(plays, [packed.numpy() for packed in state["packed"]])
+        self.backend.unpack(self._plays_of(state), [packed.numpy() for packed in state["packed"]])
         self._next_episode[:] = state["next_episodes"]
         self._look_ahead()
 
@@ -262,17 +249,3 @@ class TwinEnv(EcoDrivingBase):
         plays = [play for play in self.backend.plays() for _ in range(n)]
         copies.backend.unpack(dict(enumerate(plays)), [packed for packed in self.backend.pack() for _ in range(n)])
         copies._look_ahead()
-
-    def scene(self, index: int = 0) -> Scene:
-        """Return the present state of an environment, whether or not it is emitted.
-
-        Raises:
-            IzooError: no episode has begun, or there is no such environment.
-        """
-        self.require_open()
-        return self.backend.scene(index)
-
-    def render(self, *_: Any, index: int = 0, span_m: float = 120.0, size_px: int = 640, **__: Any) -> np.ndarray:
-        """Return a top view ``[size_px, size_px, 3]`` uint8 of the present state of an environment."""
-        self.require_started("render")
-        return draw(self.scene(index), span_m=span_m, size_px=size_px)

@@ -1,9 +1,7 @@
 """Fixtures that several rooms share, and the order of the tests."""
 
-from __future__ import annotations
-
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +14,7 @@ from izoo.envs.config import EnvConfig
 from izoo.networks.dataset.intersections import load_dataset
 from izoo.networks.net.net_cache import CACHE_ENV
 
+Refused = Callable[..., str]
 SHORT = EnvConfig(horizon_s=120.0, warmup_s=20.0, drain_s=60.0, num_agents=32)
 LONGEST = (
     # These two compile the twin and the environment on SUMO where they are not compiled yet: each in its own process.
@@ -35,21 +34,30 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session")
-def faults() -> Path:
-    """The folder of small inputs, each with one feature that real files have and that is easily misread."""
+def data() -> Path:
+    """The folder of the test data, which are no part of the project; without it the test is skipped."""
     root = os.environ.get("IZOO_TEST_DATA")
     if not root:
-        pytest.skip("IZOO_TEST_DATA is unset; it names the folder with the small faulty inputs")
-    return Path(root) / "faults"
+        pytest.skip("IZOO_TEST_DATA is unset; it names the folder with the test data")
+    return Path(root)
 
 
 @pytest.fixture(scope="session")
-def dataset() -> ContextList:
+def faults(data: Path) -> Path:
+    """The folder of small inputs, each with one feature that real files have and that is easily misread."""
+    return data / "faults"
+
+
+@pytest.fixture(scope="session")
+def published(data: Path) -> Path:
+    """The sample of the published dataset: 60 intersections of Salt Lake City."""
+    return data / "salt-lake-city-60"
+
+
+@pytest.fixture(scope="session")
+def dataset(published: Path) -> ContextList:
     """One context per approach of the published dataset's sample, with the default adoption of 1/3."""
-    root = os.environ.get("IZOO_TEST_DATA")
-    if not root:
-        pytest.skip("IZOO_TEST_DATA is unset; it names the folder with the published dataset's sample")
-    return load_dataset(Path(root) / "salt-lake-city-60")
+    return load_dataset(published)
 
 
 @pytest.fixture(scope="session")
@@ -73,3 +81,24 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv(CACHE_ENV, str(folder))
         patch.setenv("XDG_DATA_HOME", str(folder / "data"))
         yield
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, empty."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Refused:
+    """``refused(main, words, message)``: a command answers with one sentence, and no traceback; return the sentence."""
+
+    def check(main: Callable[[list[str]], int], words: Sequence[str], message: str = "", code: int = 2) -> str:
+        capsys.readouterr()
+        assert main(list(words)) == code
+        error = capsys.readouterr().err
+        assert message in error and "Traceback" not in error and error.count("\n") == 1, error
+        return error
+
+    return check

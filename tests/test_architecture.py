@@ -3,9 +3,9 @@
 Imports inside functions count as well. Parts of names that are written as text, as commands name what they run, do not.
 """
 
-from __future__ import annotations
-
 import ast
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -38,7 +38,7 @@ FLOORS = (
 """Rooms from the ground up; rooms that share a floor do not know each other."""
 ENV_FLOORS = (
     {"config", "tables", "mdp", "model_version"},
-    {"backend"},
+    {"backend", "simulation"},
     {"sumo", "twin"},
     {"specs", "frame_io", "frame_copies", "render", "env", "twin_env"},
     {"views"},
@@ -156,6 +156,25 @@ def test_the_arrow_check_can_fail(name: str, source: str) -> None:
 )
 def test_the_check_inside_envs_can_fail(name: str, source: str) -> None:
     assert env_violations(name, Path("module.py"), source)
+
+
+@pytest.mark.parametrize(
+    ("program", "absent"),
+    [
+        ("import izoo.emissions.kernel, izoo.contexts.catalogue as c; c.get(5).content_hash", ("torch", "pandas")),
+        ("import izoo.envs.sumo.simulator, izoo.envs.sumo.worker, izoo.envs.twin.runtime.preparers", ("torch",)),
+        (
+            "import gymnasium as g; g.make('izoo.envs:izoo/EcoDriving-v0'); g.spec('izoo/EcoDrivingEgo-v0')",
+            ("torch", *SIMULATOR),
+        ),
+        ("from izoo.algos.learners import registry; registry.choices()", ("torch",)),
+        ("import izoo.algos.losses", ("izoo.envs", "izoo.conf", *SIMULATOR)),
+    ],
+)
+def test_what_is_used_without_the_rest_does_not_import_it(program: str, absent: tuple[str, ...]) -> None:
+    code = f"{program}; import sys; print([name for name in sys.modules if name.startswith({absent})])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=100)
+    assert done.stdout == "[]\n"
 
 
 def test_one_module_imports_the_simulator() -> None:

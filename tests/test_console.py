@@ -1,7 +1,5 @@
 """What a command says about the time it still needs, and what becomes of it where nothing more can be said."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import subprocess
@@ -28,6 +26,7 @@ from izoo.training.loggers import in_short
 )
 def test_time_left_follows_the_speed_so_far(seconds: float, frames: int, text: str) -> None:
     assert time_left([(5.0, 0), (5.0 + seconds, frames)], 1000) == text
+    assert [duration(seconds) for seconds in (5, 600, 7200)] == ["5 s", "10 min", "2.0 h"]
 
 
 def test_lines_without_a_terminal_say_how_long_it_takes(capsys: pytest.CaptureFixture[str]) -> None:
@@ -54,10 +53,6 @@ def test_a_validation_stands_with_its_interval_where_it_has_one() -> None:
     row = {"validation_co2_saved": 3.1, "validation_co2_saved_low": -1.04, "validation_co2_saved_high": 7.2}
     text = in_short({**row, "validation_delay_change_s": 1.0, "frames_per_s": 12.3})
     assert text == "12 frames/s  validation +3.1 % [-1.0, 7.2]  delay +1.0 s"
-
-
-def test_durations_are_words() -> None:
-    assert [duration(seconds) for seconds in (5, 600, 7200)] == ["5 s", "10 min", "2.0 h"]
 
 
 @contextlib.contextmanager
@@ -89,7 +84,7 @@ def work():
         for k in range(3):
             bar.update(k + 1)
             print("a line", file=sys.stderr)
-            time.sleep(0.2)
+            time.sleep(0.05)
     Path(sys.argv[1], "done").touch()
     print("ends")
     return 0
@@ -111,39 +106,33 @@ sys.exit(exit_code("talk", talk))
 """
 
 
-def start(program: str, folder: Path, output: int, error: int) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
-        [sys.executable, "-c", program, str(folder)], stdout=output, stderr=error, start_new_session=True
-    )
+def ended(program: str, folder: Path, output: int, error: int, lose: Callable[[], object]) -> int:
+    """Run a program that loses its output after a moment; return its exit code."""
+    command = [sys.executable, "-c", program, str(folder)]
+    process = subprocess.Popen(command, stdout=output, stderr=error, start_new_session=True)
+    time.sleep(0.3)
+    lose()
+    (folder / "lost").touch()
+    return process.wait(60)
 
 
 @pytest.mark.parametrize(("how", "both"), [*((how, False) for how in LOST), ("nobody reads", True)])
 def test_work_that_leaves_files_goes_on_without_its_output(how: str, both: bool, tmp_path: Path) -> None:
     with LOST[how]() as (output, lose), (tmp_path / "errors").open("wb") as errors:
-        process = start(WORK, tmp_path, output, output if both else errors.fileno())
-        time.sleep(0.3)
-        lose()
-        (tmp_path / "lost").touch()
-        assert process.wait(60) == 0 and (tmp_path / "done").exists()
+        assert ended(WORK, tmp_path, output, output if both else errors.fileno(), lose) == 0
+        assert (tmp_path / "done").exists()
     said = (tmp_path / "errors").read_text()
     assert "Traceback" not in said and "Exception" not in said
     assert both or said.count("izoo: the output is lost from here on (") == 1
 
 
-@pytest.mark.parametrize(
-    ("how", "code", "said"),
-    [
-        ("nobody reads", 0, ""),
-        ("full disk", 1, "izoo talk: cannot write the output: No space left on device.\n"),
-    ],
-)
+FULL = "izoo talk: cannot write the output: No space left on device.\n"
+
+
+@pytest.mark.parametrize(("how", "code", "said"), [("nobody reads", 0, ""), ("full disk", 1, FULL)])
 def test_a_command_that_only_talks_ends_with_its_output(how: str, code: int, said: str, tmp_path: Path) -> None:
     with LOST[how]() as (output, lose), (tmp_path / "errors").open("wb") as errors:
-        process = start(TALK, tmp_path, output, errors.fileno())
-        time.sleep(0.3)
-        lose()
-        (tmp_path / "lost").touch()
-        assert process.wait(60) == code
+        assert ended(TALK, tmp_path, output, errors.fileno(), lose) == code
     assert (tmp_path / "errors").read_text() == said
 
 

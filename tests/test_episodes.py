@@ -1,7 +1,5 @@
 """What training logs of the episodes that ended: one that a lost worker took along is not among them."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

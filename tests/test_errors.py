@@ -1,7 +1,5 @@
 """What messages about numbers out of range say."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

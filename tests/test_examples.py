@@ -1,9 +1,6 @@
 """Every example of the documentation runs, at toy size."""
 
-from __future__ import annotations
-
 import ast
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.conftest import Refused
 from tests.envs.worlds import crossing, short
 
 FOLDER = Path(__file__).resolve().parent.parent / "izoo" / "docs" / "examples"
@@ -56,11 +54,10 @@ def test_stock_torchrl_trains_with_every_loss(name: str) -> None:
     assert len(history) == 15
     assert history[0] < -2.0 and np.mean(history[-3:]) > -1.2, history
     source = (FOLDER / "stock_torchrl.py").read_text()
-    loop = next(
-        node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef) and node.name == "train"
-    )
+    nodes = list(ast.walk(ast.parse(source)))
+    loop = next(node for node in nodes if isinstance(node, ast.FunctionDef) and node.name == "train")
     assert loop.end_lineno is not None and loop.end_lineno - loop.lineno < 40
-    modules = {node.module for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ImportFrom)}
+    modules = {node.module for node in nodes if isinstance(node, ast.ImportFrom)}
     izoos = {name for name in modules if name and name.startswith("izoo")}
     assert izoos == {"izoo.algos.losses", "izoo.contexts.procedural", "izoo.envs"}
 
@@ -134,17 +131,13 @@ def test_own_policy(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("extract", [None, "osm/west_oakland.osm"])
-def test_own_city(extract: str | None, tmp_path: Path) -> None:
+def test_own_city(extract: str | None, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     pytest.importorskip("osmium")
     from izoo.docs.examples import own_city
 
-    data = os.environ.get("IZOO_TEST_DATA")
-    if extract is not None and not data:
-        pytest.skip("IZOO_TEST_DATA is unset")
-    file = None if extract is None else Path(data or "", extract)
-    table = own_city.main(
-        file, tmp_path / "town", horizon_s=125.0, seeds=(0,), num_workers=0, max_approaches=2, cache=tmp_path / "cache"
-    )
+    file = None if extract is None else request.getfixturevalue("data") / extract
+    sizes = {"horizon_s": 125.0, "seeds": (0,), "num_workers": 0, "max_approaches": 2}
+    table = own_city.main(file, tmp_path / "town", **sizes, cache=tmp_path / "cache")
     assert set(table["policy"]) == {"human", "uncommanded", "glide"} and len(table) == 6
     assert table["crossed"].sum() > 0 and (tmp_path / "town").is_dir()
     if extract is None:
@@ -161,20 +154,17 @@ def test_offline_data(tmp_path: Path) -> None:
     assert {"clone", "glide"} <= summary["entries"].keys()
 
 
-def test_adoption_refuses_what_it_cannot_use_before_anything_is_played(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_adoption_refuses_what_it_cannot_use_before_anything_is_played(tmp_path: Path, refused: Refused) -> None:
     from izoo.docs.examples import adoption
 
-    assert adoption.command([str(tmp_path / "nowhere"), str(tmp_path / "out")]) == 2
-    assert "nowhere does not exist" in capsys.readouterr().err
-    assert adoption.command([str(tmp_path), str(tmp_path / "out"), "glide", "nonsense"]) == 2
-    assert "unknown policy 'nonsense'" in capsys.readouterr().err
-    assert adoption.command([str(tmp_path), str(tmp_path / "out"), f"ppo=glide,{tmp_path / 'gone.pt'}"]) == 2
-    assert "gone.pt" in capsys.readouterr().err
-    for words in (["a/b=glide"], ["=glide"], ["glide", "glide"], ["glide", "glide=uncommanded"]):
-        assert adoption.command([str(tmp_path), str(tmp_path / "out"), *words]) == 2, words
-        assert "name" in capsys.readouterr().err
+    for folder, policies, said in (
+        (tmp_path / "nowhere", (), "nowhere does not exist"),
+        (tmp_path, ("glide", "nonsense"), "unknown policy 'nonsense'"),
+        (tmp_path, (f"ppo=glide,{tmp_path / 'gone.pt'}",), "gone.pt"),
+        *((tmp_path, words, "name") for words in (("a/b=glide",), ("=glide",), ("glide", "glide=uncommanded"))),
+        (tmp_path, ("glide", "glide"), "name"),
+    ):
+        refused(adoption.command, [str(folder), str(tmp_path / "out"), *policies], said)
     assert not (tmp_path / "out").exists()
 
 

@@ -1,7 +1,5 @@
 """Files that are whole or absent, folders that one process uses, and reasons in words that are true."""
 
-from __future__ import annotations
-
 import gzip
 import os
 import subprocess
@@ -10,17 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from izoo.files import (
-    claimed,
-    claimed_empty,
-    discard_partials,
-    free_folder,
-    os_reason,
-    partial_of,
-    replacing_folder,
-    unpacked,
-    write_text,
-)
+from izoo import files
 
 
 @pytest.mark.parametrize(
@@ -38,14 +26,14 @@ def test_a_path_that_cannot_be_made_says_what_stands_in_the_way(tmp_path: Path, 
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
     with pytest.raises(OSError) as caught:
         (tmp_path / name).mkdir()
-    assert os_reason(caught.value) == reason.format(tmp_path)
+    assert files.os_reason(caught.value) == reason.format(tmp_path)
 
 
 def test_a_write_that_fails_leaves_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "file"
-    write_text(path, "old")
+    files.write_text(path, "old")
     with pytest.raises(UnicodeEncodeError):
-        write_text(path, "\ud800")
+        files.write_text(path, "\ud800")
     assert path.read_text() == "old"
     assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
 
@@ -54,11 +42,11 @@ def test_a_folder_belongs_to_one_process_at_a_time(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     program = "from pathlib import Path; from izoo.files import claimed; "
     program += f"claimed(Path({str(folder)!r})).__enter__()"
-    with claimed(folder):
+    with files.claimed(folder):
         other = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
         assert other.returncode != 0 and "another process works in" in other.stderr
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
-    with claimed(folder):
+    with files.claimed(folder):
         assert list(folder.iterdir()) == []
 
 
@@ -68,7 +56,7 @@ def test_a_folder_that_stays_empty_goes_again(tmp_path: Path, existed: bool, fil
     folder = tmp_path / "out"
     if existed:
         folder.mkdir()
-    with pytest.raises(KeyError), claimed_empty(folder, "out"):
+    with pytest.raises(KeyError), files.claimed_empty(folder, "out"):
         if filled:
             (folder / "file").touch()
         raise KeyError
@@ -77,10 +65,10 @@ def test_a_folder_that_stays_empty_goes_again(tmp_path: Path, existed: bool, fil
 
 def test_free_names_are_counted(tmp_path: Path) -> None:
     (tmp_path / "run-2").touch()
-    assert [free_folder(tmp_path / "run").name for _ in range(3)] == ["run", "run-3", "run-4"]
+    assert [files.free_folder(tmp_path / "run").name for _ in range(3)] == ["run", "run-3", "run-4"]
     (tmp_path / "runs").symlink_to("nowhere")
     with pytest.raises(FileExistsError):
-        free_folder(tmp_path / "runs" / "run")
+        files.free_folder(tmp_path / "runs" / "run")
 
 
 @pytest.mark.parametrize("before", [None, b"short"])
@@ -101,16 +89,16 @@ def test_a_key_is_made_once_and_for_its_user_alone(
 
 
 def test_what_unpacks_to_more_than_its_bound_is_refused() -> None:
-    assert unpacked(gzip.compress(bytes(10)), 10) == bytes(10)
+    assert files.unpacked(gzip.compress(bytes(10)), 10) == bytes(10)
     with pytest.raises(OSError, match="more than 10 bytes"):
-        unpacked(gzip.compress(bytes(11)), 10)
+        files.unpacked(gzip.compress(bytes(11)), 10)
 
 
 def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
     target = tmp_path / "new" / "target"
-    with replacing_folder(target) as staging:
+    with files.replacing_folder(target) as staging:
         (staging / "one").touch()
-    with pytest.raises(KeyboardInterrupt), replacing_folder(target) as staging:
+    with pytest.raises(KeyboardInterrupt), files.replacing_folder(target) as staging:
         (staging / "two").touch()
         raise KeyboardInterrupt
     assert [path.name for path in target.iterdir()] == ["one"]
@@ -118,13 +106,13 @@ def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
 
 
 def test_what_killed_processes_left_is_removed_and_what_others_write_is_kept(tmp_path: Path) -> None:
-    here = partial_of(tmp_path / "file").name.split("-")[1]
+    here = files.partial_of(tmp_path / "file").name.split("-")[1]
     others = [f".file.partial-{here}-{os.getppid()}-0c", ".file.partial-0123abcd-999999999-0d"]
     (tmp_path / f".town.partial-{here}-999999999-0a").mkdir()
     for name in (f".file.partial-{here}-999999999-0b", *others):
         (tmp_path / name).touch()
-    discard_partials(tmp_path, "town")
+    files.discard_partials(tmp_path, "town")
     assert len(list(tmp_path.iterdir())) == 3
-    discard_partials(tmp_path)
+    files.discard_partials(tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {*others}
-    assert partial_of(tmp_path / "file") != partial_of(tmp_path / "file")
+    assert files.partial_of(tmp_path / "file") != files.partial_of(tmp_path / "file")

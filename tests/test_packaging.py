@@ -1,7 +1,5 @@
 """The wheel holds everything and nothing else, and the constraints cover what it needs."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys
@@ -17,6 +15,7 @@ else:
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+SUFFIXES = (".py", ".yaml", ".json", ".csv", ".npz", ".osm", ".pt")
 MAPPING = {"envs": "izoo/envs", "algos": "izoo/algos", "benchmarks": "izoo/benchmarks"}
 
 
@@ -39,12 +38,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     source = folder / "source"
     # Built from a copy: a build folder in the tree would carry files from earlier builds into the wheel.
-    listed = subprocess.run(
-        ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-    )
+    command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"]
+    listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     if listed.returncode != 0:
         pytest.skip("not a git checkout")
     for name in filter(None, listed.stdout.split("\0")):
@@ -61,10 +56,7 @@ def test_the_wheel_holds_all_modules_and_data(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     for top in ("izoo", *MAPPING):
         for path in (ROOT / top).rglob("*"):
-            if (
-                path.suffix in (".py", ".yaml", ".json", ".csv", ".npz", ".osm", ".pt")
-                and "__pycache__" not in path.parts
-            ):
+            if path.suffix in SUFFIXES and "__pycache__" not in path.parts:
                 inside = MAPPING.get(top, top)
                 assert f"{inside}/{path.relative_to(ROOT / top).as_posix()}" in names
     assert "izoo/py.typed" in names

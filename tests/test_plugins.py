@@ -3,8 +3,6 @@
 The algorithm and the contexts are those that the page on extending izoo shows.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import sys
@@ -22,6 +20,7 @@ from izoo.errors import IzooError
 from izoo.imports import imported
 from izoo.training import checkpoint, run_folder
 from izoo.training.validation import VALIDATION_FILE
+from tests.conftest import Refused
 from tests.docs.blocks import DOCS, blocks_of
 
 ALGO = "algo=weighted:RewardWeighted"
@@ -79,22 +78,21 @@ def test_an_own_algorithm_trains_validates_resumes_and_is_evaluated(
 
 
 @pytest.mark.usefixtures("own_folder")
-def test_own_choices_have_help_and_options(capsys: pytest.CaptureFixture[str]) -> None:
+def test_own_choices_have_help_and_options(capsys: pytest.CaptureFixture[str], refused: Refused) -> None:
     assert train.main(["--help", ALGO]) == 0
     assert "algo.noise_mps2=0.5" in capsys.readouterr().out
-    assert train.main(["algo.noise=1", ALGO]) == 2
-    assert "choose one of: algo.name, algo.frames_per_batch, algo.lr, algo.noise_mps2" in capsys.readouterr().err
+    said = "choose one of: algo.name, algo.frames_per_batch, algo.lr, algo.noise_mps2"
+    refused(train.main, ["algo.noise=1", ALGO], said)
     config = compose_config(TrainConfig, [ALGO, "contexts=hills:Downhill"])
     assert registry.make_algorithm(config.algo, config.action, config.env).policy is not None
     assert evaluate.COMMAND.compose(["task=my_tasks:SHORT", "policy=glide"]).num_contexts == 2
 
 
 @pytest.fixture
-def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def mine(here: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A module of the user's in the current folder, still to be written."""
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
-    yield tmp_path / "mine.py"
+    yield here / "mine.py"
     sys.modules.pop("mine", None)
 
 
@@ -103,6 +101,7 @@ def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     [
         (":Mine", "policy=:Mine is not of the form module:name, such as mine:drive."),
         ("mine:", "policy=mine: is not of the form module:name, such as mine:drive."),
+        ("./mine.py:drive", "policy=./mine.py:drive is not of the form module:name, such as mine:drive."),
         (".mine:drive", "policy=.mine:drive is not of the form module:name, such as mine:drive."),
         ("nowhere.mine:drive", "policy=nowhere.mine:drive: No module named 'nowhere'."),
         ("mine.deeper:drive", "policy=mine.deeper:drive: No module named 'mine.deeper'; 'mine' is not a package."),

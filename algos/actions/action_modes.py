@@ -21,7 +21,7 @@ from izoo.envs.config import (
 from izoo.errors import CheckedOptions, check_range
 
 if TYPE_CHECKING:
-    from izoo.algos.actions.executed_actions import ExecutedAcceleration
+    from izoo.algos.actions.action_wrappers import ActionTransform
     from izoo.algos.learners.base import Algorithm
 
 Build = Callable[..., "Algorithm"]
@@ -86,11 +86,13 @@ class ActionSpace:
 
 
 class ActionMode(CheckedOptions):
-    """What options of a run ask of a choice of ``action=``.
+    """What the action of a policy means, and what that asks of other options.
 
     Attributes:
         sets: settings of the environment that go with it.
         every_step: whether its policy has to decide in every step.
+        initial, spread: of the untrained policy; in place of ``algo.initial_accel_mps2`` and ``algo.initial_spread``
+            where the mode has both.
     """
 
     group = "action"
@@ -101,6 +103,34 @@ class ActionMode(CheckedOptions):
     def commands(self) -> Mapping[str, Any]:
         """What the environment must take as actions."""
         return {}
+
+    def space(self, env: EnvConfig) -> ActionSpace:
+        """Return what the learned policy's actions may be."""
+        raise NotImplementedError
+
+    def transform(self, env: EnvConfig) -> ActionTransform | None:
+        """Return what turns them into commands; ``None``: they are commands."""
+        return None
+
+    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
+        """Return the algorithm that ``build`` makes, with its actions transformed, learning from executed ones if it
+        asks for that."""
+        from izoo.algos.actions.action_wrappers import ExecutedAcceleration, ExecutedActions, TransformedAlgorithm
+        from izoo.algos.drivers.by_name import make_driver
+
+        if hasattr(self, "initial"):
+            values = {"initial_accel_mps2": self.initial, "initial_spread": self.spread}  # type: ignore[attr-defined]
+            own = {name: value for name, value in values.items() if hasattr(config, name)}
+            config = dataclasses.replace(config, **own)
+        space, transform = self.space(env), self.transform(env)
+        learned = build(config, features, space)
+        replays = getattr(config, "stores", "commanded") == "applied" and env.action != SPEED
+        executed = ExecutedAcceleration(env) if replays else None
+        if transform is None:
+            return learned if executed is None else ExecutedActions(learned, executed)
+        expert = getattr(config, "warm_start", "none")
+        driver = None if expert == "none" else make_driver(expert, env)
+        return TransformedAlgorithm(learned, transform, space.high, expert=driver, executed=executed)
 
 
 @dataclass(frozen=True)
@@ -119,14 +149,8 @@ class DirectAction(ActionMode):
     sets = BY_STEP
     ranges = (("low_mps2", -100.0, -0.01, "m/s^2"), ("high_mps2", 0.01, 100.0, "m/s^2"))
 
-    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
-        """Return the algorithm that ``build`` makes."""
-        learned = build(config, features, ActionSpace(self.low_mps2, self.high_mps2))
-        if not _stores_applied(config):
-            return learned
-        from izoo.algos.actions.executed_actions import ExecutedActions
-
-        return ExecutedActions(learned, env)
+    def space(self, env: EnvConfig) -> ActionSpace:
+        return ActionSpace(self.low_mps2, self.high_mps2)
 
 
 @dataclass(frozen=True)
@@ -158,10 +182,8 @@ class SpeedAction(ActionMode):
         """What the environment must take as actions."""
         return {"action": SPEED}
 
-    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
-        """Return the algorithm that ``build`` makes."""
-        config = _with_initial(config, self.initial, self.spread)
-        return build(config, features, ActionSpace(self.slowest, 1.0, size=env.action_size))
+    def space(self, env: EnvConfig) -> ActionSpace:
+        return ActionSpace(self.slowest, 1.0, size=env.action_size)
 
 
 @dataclass(frozen=True)
@@ -192,19 +214,13 @@ class ArriveAction(ActionMode):
         """What the environment must take as actions."""
         return {"action": SPEED, "action_parts": (*BEFORE_AND_BEHIND, STOP) if self.stop else BEFORE_AND_BEHIND}
 
-    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
-        """Return the algorithm that ``build`` makes."""
-        from izoo.algos.actions.arrival import Arrival, Arriving
+    def space(self, env: EnvConfig) -> ActionSpace:
+        return ActionSpace(0.0, 1.0, size=env.action_size)
 
-        space = ActionSpace(0.0, 1.0, size=env.action_size)
-        learned = build(_with_initial(config, self.initial, self.spread), features, space)
-        return Arriving(learned, Arrival(env, self.slowest))
+    def transform(self, env: EnvConfig) -> ActionTransform:
+        from izoo.algos.actions.arrival import Arrival
 
-
-def _with_initial(config: Any, initial: float, spread: float) -> Any:
-    """Return an algorithm's options with the median and the spread of its untrained policy."""
-    values = {"initial_accel_mps2": initial, "initial_spread": spread}
-    return dataclasses.replace(config, **{name: value for name, value in values.items() if hasattr(config, name)})
+        return Arrival(env, self.slowest)
 
 
 @dataclass(frozen=True)
@@ -230,22 +246,13 @@ class AdviseAction(ActionMode):
     spread: float = 0.35
     ranges = (("depth", 0.01, 1.0), ("brake_mps2", 0.1, -ACTION_LOW_MPS2, "m/s^2"), *PointMass.ranges)
 
-    @property
-    def point_mass(self) -> PointMass:
-        """The point mass at the action 0."""
-        return PointMass(self.act_share, self.spread)
+    def space(self, env: EnvConfig) -> ActionSpace:
+        return ActionSpace(-self.depth, self.depth, PointMass(self.act_share, self.spread))
 
-    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
-        """Return the algorithm that ``build`` makes, with its actions transformed."""
-        from izoo.algos.actions.action_wrappers import SpeedCap, TransformedAlgorithm
-        from izoo.algos.drivers.by_name import make_driver
+    def transform(self, env: EnvConfig) -> ActionTransform:
+        from izoo.algos.actions.action_wrappers import SpeedCap
 
-        learned = build(config, features, ActionSpace(-self.depth, self.depth, self.point_mass))
-        name = getattr(config, "warm_start", "none")
-        expert = None if name == "none" else make_driver(name, env)
-        return TransformedAlgorithm(
-            learned, SpeedCap(env, self.brake_mps2), self.depth, expert=expert, executed=_executed(config, env)
-        )
+        return SpeedCap(env, self.brake_mps2)
 
 
 @dataclass(frozen=True)
@@ -274,33 +281,14 @@ class ResidualAction(ActionMode):
         *PointMass.ranges,
     )
 
-    @property
-    def point_mass(self) -> PointMass:
-        """The point mass at the action 0."""
-        return PointMass(self.act_share, self.spread, two_sided=True)
+    def space(self, env: EnvConfig) -> ActionSpace:
+        still = PointMass(self.act_share, self.spread, two_sided=True)
+        return ActionSpace(-self.half_width_mps2, self.half_width_mps2, still)
 
-    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
-        """Return the algorithm that ``build`` makes, with its actions transformed."""
-        from izoo.algos.actions.action_wrappers import TransformedAlgorithm
+    def transform(self, env: EnvConfig) -> ActionTransform:
         from izoo.algos.actions.residual import Correction, NominalDriver
 
-        space = ActionSpace(-self.half_width_mps2, self.half_width_mps2, self.point_mass)
-        learned = build(config, features, space)
-        return TransformedAlgorithm(
-            learned, Correction(NominalDriver(env)), self.half_width_mps2, executed=_executed(config, env)
-        )
-
-
-def _stores_applied(config: Any) -> bool:
-    """Whether an algorithm replays executed actions instead of commanded ones."""
-    return getattr(config, "stores", "commanded") == "applied"
-
-
-def _executed(config: Any, env: EnvConfig) -> ExecutedAcceleration | None:
-    """Return what reads executed accelerations, if the algorithm learns from them."""
-    from izoo.algos.actions.executed_actions import ExecutedAcceleration
-
-    return ExecutedAcceleration(env) if _stores_applied(config) else None
+        return Correction(NominalDriver(env))
 
 
 ActionConfig = DirectAction | SpeedAction | ArriveAction | AdviseAction | ResidualAction

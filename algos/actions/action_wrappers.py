@@ -1,7 +1,9 @@
-"""Action modes whose action 0 leaves a vehicle alone: the learned policy's raw action is transformed into a command.
+"""Policies whose raw action is transformed into a command, and learning from what was executed.
 
 To the algorithm, the raw action *is* the action: its networks emit it, its log-probabilities and losses are of it. An
-:class:`ActionTransform` turns it into a command for the environment.
+:class:`ActionTransform` turns it into a command for the environment: a cap on the speed (:class:`SpeedCap`), a
+correction of glide (:mod:`izoo.algos.actions.residual`), or speeds that arrive in time
+(:mod:`izoo.algos.actions.arrival`).
 """
 
 from __future__ import annotations
@@ -11,18 +13,14 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
-from izoo.algos.actions.executed_actions import ExecutedAcceleration
 from izoo.algos.drivers.base import DEFER
+from izoo.algos.drivers.observed import Observed
 from izoo.algos.learners import base
 from izoo.algos.learners.imitation import EXPERT_ACTION
-from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
-from izoo.envs.mdp.frame import observation_names
-from izoo.envs.mdp.observation import SPEED_SCALE_MPS
-from izoo.errors import IzooError
 
 RAW_ACTION = ("agents", "raw_action")
-"""``[*B, A, 1]``: the learned policy's action before it is transformed."""
+"""``[*B, A, D]``: the learned policy's action before it is transformed."""
 MAX_IMITATED = 0.98
 """Raw actions are imitated up to this share of their bound, which tanh never reaches."""
 NOTICED_MPS2 = 0.05
@@ -30,16 +28,17 @@ NOTICED_MPS2 = 0.05
 
 
 class ActionTransform(nn.Module):
-    """Turns raw actions into commands.
+    """Turns raw actions into commands. Raw actions of one number are ``[*B, A]`` here, of ``D`` numbers ``[*B, A, D]``.
 
     Attributes:
+        defers: whether it says which vehicles are left to the simulator's driver.
         two_sided: whether there are agents whose raw actions below 0 differ from 0.
     """
 
-    two_sided = False
+    defers, two_sided = True, False
 
     def look(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, ...]:
-        """Return what :meth:`command` needs, ``[*B, A]`` each; of two-sided transforms the second is which agents are.
+        """Return what :meth:`command` needs; of two-sided transforms the second is which agents are, ``[*B, A]``.
 
         Args:
             observation: ``[*B, A, F]``.
@@ -47,12 +46,13 @@ class ActionTransform(nn.Module):
         """
         raise NotImplementedError
 
-    def command(self, seen: tuple[Tensor, ...], raw: Tensor) -> tuple[Tensor, Tensor]:
-        """Return accelerations in m/s^2, and which vehicles are left to the simulator's driver, ``[*B, A]`` each.
+    def command(self, seen: tuple[Tensor, ...], raw: Tensor) -> tuple[Tensor, Tensor | None]:
+        """Return the environment's actions, in the shape of ``raw``, and which vehicles are left to the simulator's
+        driver, ``[*B, A]``; ``None`` without :attr:`defers`.
 
         Args:
             seen: what :meth:`look` returned.
-            raw: ``[*B, A]``.
+            raw: the raw actions, without their band.
         """
         raise NotImplementedError
 
@@ -92,20 +92,12 @@ class SpeedCap(ActionTransform):
 
     def __init__(self, config: EnvConfig, brake_mps2: float) -> None:
         super().__init__()
-        names = observation_names(config)
-        if "context_speed_limit_mps" not in names:
-            raise IzooError(
-                f"action=advise caps speeds relative to the limit, but env.observed is {list(config.observed)}; add "
-                "speed_limit_mps."
-            )
-        self.speed, self.limit = names.index("speed"), names.index("context_speed_limit_mps")
-        self.approaching = names.index("location_approaching")
-        self.limit_scale = feature("speed_limit_mps").scale
+        self.seen = Observed(config, ("context_speed_limit_mps",), "action=advise")
         self.brake_mps2, self.decision_s = brake_mps2, config.decision_s
 
     def look(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, ...]:
-        speed, limit = observation[..., self.speed] * SPEED_SCALE_MPS, observation[..., self.limit] * self.limit_scale
-        return speed, limit, observation[..., self.approaching] > 0.5
+        speed, limit = (self.seen(observation, name) for name in ("speed", "context_speed_limit_mps"))
+        return speed, limit, self.seen.flag(observation, "location_approaching")
 
     def command(self, seen: tuple[Tensor, ...], raw: Tensor) -> tuple[Tensor, Tensor]:
         speed, limit, approaching = seen
@@ -127,7 +119,7 @@ class TransformedPolicy(TensorDictModuleBase):
     """A learned policy whose action becomes :data:`RAW_ACTION`; the action is the command that follows from it.
 
     Args:
-        learned: writes ``("agents", "action")`` ``[*B, A, 1]``, and has a ``no_op_band``.
+        learned: writes ``("agents", "action")`` ``[*B, A, D]``; its ``no_op_band`` around 0, if any, counts as 0.
         transform: turns its actions into commands.
     """
 
@@ -135,22 +127,24 @@ class TransformedPolicy(TensorDictModuleBase):
         super().__init__()
         self.learned, self.transform = learned, transform
         self.in_keys = list(dict.fromkeys([*learned.in_keys, base.OBSERVATION, base.MASK]))
-        self.out_keys = [*learned.out_keys, RAW_ACTION, DEFER, *([base.TWO_SIDED] if transform.two_sided else [])]
+        self.out_keys = [*learned.out_keys, RAW_ACTION]
+        self.out_keys += [*([DEFER] if transform.defers else []), *([base.TWO_SIDED] if transform.two_sided else [])]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write raw action and acceleration, ``[*B, A, 1]`` each, ``defer``, and the learned policy's other outputs."""
-        seen = self.transform.look(tensordict.get(base.OBSERVATION), tensordict.get(base.MASK))
+        """Write raw action and action, ``defer`` where the transform has it, and the learned policy's outputs."""
+        mask = tensordict.get(base.MASK)
+        seen = self.transform.look(tensordict.get(base.OBSERVATION), mask)
         if self.transform.two_sided:
             tensordict.set(base.TWO_SIDED, seen[1])
         raw = self.learned(tensordict).get(base.ACTION)
-        tensordict.set(RAW_ACTION, raw)
-        accel, defer = self.transform.command(seen, self.without_band(raw).squeeze(-1))
-        tensordict.set(DEFER, defer)
-        return tensordict.set(base.ACTION, accel.clamp(ACTION_LOW_MPS2, ACTION_HIGH_MPS2).unsqueeze(-1))
+        action, defer = self.transform.command(seen, self.without_band(raw).squeeze(-1))
+        if defer is not None:
+            tensordict.set(DEFER, defer)
+        return tensordict.set(RAW_ACTION, raw).set(base.ACTION, action.reshape(raw.shape))
 
     def without_band(self, raw: Tensor) -> Tensor:
         """Return raw actions, of any shape, less the band around 0 that counts as 0."""
-        band = float(self.learned.no_op_band)
+        band = float(getattr(self.learned, "no_op_band", 0.0))
         return raw.sign() * (raw.abs() - band).clamp_min(0.0) if band > 0.0 else raw
 
 
@@ -180,7 +174,8 @@ class TransformedAlgorithm(base.AlgorithmWrapper):
         self.transform, self.bound = transform, bound
         self.expert, self.executed = expert, executed
         own, looks = base.reads(learned), expert is not None or executed is not None
-        self.reads: base.Keys | None = None if own is None or looks else (*own, RAW_ACTION, DEFER, base.MASK)
+        also = (RAW_ACTION, base.MASK, *([DEFER] if transform.defers else []))
+        self.reads: base.Keys | None = None if own is None or looks else (*own, *also)
 
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
         """Learn from the batch with the raw action as its action; the batch itself is not changed."""
@@ -190,10 +185,10 @@ class TransformedAlgorithm(base.AlgorithmWrapper):
         if self.expert is not None:
             own.set(EXPERT_ACTION, self.expert_action(batch))
         stats = self.learned.update(own, progress)
-        mask = batch.get(base.MASK)
-        if mask.any():
+        mask, defer = batch.get(base.MASK), batch.get(DEFER, None)
+        if defer is not None and mask.any():
             stats["raw_action_abs"] = float(emitted[mask].abs().mean())
-            stats["acting_share"] = float((~batch.get(DEFER)[mask]).float().mean())
+            stats["acting_share"] = float((~defer[mask]).float().mean())
         return stats
 
     def carried_out(self, batch: TensorDictBase, accel: Tensor) -> Tensor:
@@ -214,3 +209,47 @@ class TransformedAlgorithm(base.AlgorithmWrapper):
         seen = self.transform.look(observation, mask)
         raw = self.transform.raw_action_for(seen, commands.get(base.ACTION).squeeze(-1), commands.get(DEFER))
         return raw.clamp(max=MAX_IMITATED * self.bound).unsqueeze(-1)
+
+
+class ExecutedAcceleration:
+    """Reads accelerations that were executed from the speeds that were observed before and after.
+
+    The simulator's own driver may brake harder than a command asks. All commands above that are then equivalent, which
+    a critic that sees the commands would have to learn.
+
+    Args:
+        config: settings of the environment.
+    """
+
+    def __init__(self, config: EnvConfig) -> None:
+        self.place, scale_mps = Observed(config).columns["speed"]
+        self.scale_mps2 = scale_mps / config.decision_s
+
+    def __call__(self, batch: TensorDictBase) -> Tensor:
+        """Return the mean acceleration over each decision of a batch ``[N, T]``, ``[N, T, A, 1]`` m/s^2.
+
+        It is the command where the next speed is unknown, because the vehicle has left, and in the last decision of an
+        episode, which may be shorter than the others.
+        """
+        before, after = (part.get(base.OBSERVATION)[..., self.place] for part in (batch, batch.get("next")))
+        accel = ((after - before) * self.scale_mps2).clamp(ACTION_LOW_MPS2, ACTION_HIGH_MPS2).unsqueeze(-1)
+        after_mask, done = (batch.get(("next", *key)) for key in (base.MASK, base.DONE))
+        known = batch.get(base.MASK) & after_mask & ~done.squeeze(-1)
+        return torch.where(known.unsqueeze(-1), accel, batch.get(base.ACTION))
+
+
+class ExecutedActions(base.AlgorithmWrapper):
+    """An algorithm that commands accelerations and learns from those that were executed.
+
+    Args:
+        learned: the algorithm; see :class:`izoo.algos.learners.base.Algorithm`.
+        executed: reads them.
+    """
+
+    def __init__(self, learned: base.Algorithm, executed: ExecutedAcceleration) -> None:
+        super().__init__(learned)
+        self.executed = executed
+
+    def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:
+        """Learn from the batch with executed accelerations as its actions; the batch itself is not changed."""
+        return self.learned.update(batch.copy().set(base.ACTION, self.executed(batch)), progress)

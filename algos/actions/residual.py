@@ -11,10 +11,7 @@ from torch import Tensor, nn
 
 from izoo.algos.actions.action_wrappers import ActionTransform
 from izoo.algos.drivers.glide import Glide
-from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, EnvConfig
-from izoo.envs.mdp.frame import observation_names
-from izoo.envs.mdp.observation import DISTANCE_SCALE_M, SPEED_SCALE_MPS
 
 
 class NominalDriver(nn.Module):
@@ -34,7 +31,6 @@ class NominalDriver(nn.Module):
     def __init__(self, config: EnvConfig) -> None:
         super().__init__()
         self.glide = Glide(config)
-        self.columns = {name: column for column, name in enumerate(observation_names(config))}
 
     def forward(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         """Return accelerations in m/s^2, and which of them are such estimates, both ``[*B, A]``.
@@ -48,15 +44,14 @@ class NominalDriver(nn.Module):
 
     def follow(self, observation: Tensor) -> Tensor:
         """Return the car-following model's acceleration, ``[*B, A]``, behind the leader or a red light ahead."""
-        speed = self._column(observation, "speed", SPEED_SCALE_MPS)
-        limit = self._column(observation, "context_speed_limit_mps", feature("speed_limit_mps").scale).clamp_min(1.0)
-        leader = self._flag(observation, "leader_present")
-        gap = self._column(observation, "leader_distance", DISTANCE_SCALE_M)
-        closing = speed - self._column(observation, "leader_speed", SPEED_SCALE_MPS)
-        behind = torch.where(leader, self._interaction(speed, closing, gap, self.min_gap_m), 0.0)
-        distance = -self._column(observation, "stop_line_distance", DISTANCE_SCALE_M)
+        seen = self.glide.seen
+        speed, limit = seen(observation, "speed"), seen(observation, "context_speed_limit_mps").clamp_min(1.0)
+        closing = speed - seen(observation, "leader_speed")
+        following = self._interaction(speed, closing, seen(observation, "leader_distance"), self.min_gap_m)
+        behind = torch.where(seen.flag(observation, "leader_present"), following, 0.0)
+        distance = -seen(observation, "stop_line_distance")
         # Near the line the simulator alone decides, since only it knows of turns on red.
-        held = self._flag(observation, "signal_red") & self._flag(observation, "location_approaching")
+        held = seen.flag(observation, "signal_red") & seen.flag(observation, "location_approaching")
         held &= distance > self.glide.settings.near_m
         stopping = torch.where(held, self._interaction(speed, speed, distance, 0.0), 0.0)
         free = 1.0 - (speed / limit) ** 4
@@ -66,12 +61,6 @@ class NominalDriver(nn.Module):
     def _interaction(self, speed: Tensor, closing: Tensor, gap: Tensor, min_gap_m: float) -> Tensor:
         dynamic = speed * self.headway_s + speed * closing / (2.0 * (self.accel_mps2 * self.decel_mps2) ** 0.5)
         return ((min_gap_m + dynamic.clamp_min(0.0)) / gap.clamp_min(0.1)) ** 2
-
-    def _column(self, observation: Tensor, name: str, scale: float) -> Tensor:
-        return observation[..., self.columns[name]] * scale
-
-    def _flag(self, observation: Tensor, name: str) -> Tensor:
-        return observation[..., self.columns[name]] > 0.5
 
 
 class Correction(ActionTransform):
@@ -96,7 +85,7 @@ class Correction(ActionTransform):
 
     def command(self, seen: tuple[Tensor, ...], raw: Tensor) -> tuple[Tensor, Tensor]:
         accel, guided = seen
-        return accel - raw, ~guided & (raw <= 0.0)
+        return (accel - raw).clamp(ACTION_LOW_MPS2, ACTION_HIGH_MPS2), ~guided & (raw <= 0.0)
 
     def carried_out(self, seen: tuple[Tensor, ...], raw: Tensor, executed: Tensor) -> Tensor:
         """Return how much the vehicle was held back; 0 where it was left to the simulator's driver."""

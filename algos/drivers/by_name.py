@@ -19,7 +19,7 @@ DRIVERS: dict[str, Callable[[EnvConfig], TensorDictModuleBase]] = {
     "uncommanded": UncommandedDriver,
     "constant": ConstantSpeed,
     "constant_2.0": lambda config: ConstantAcceleration(2.0),
-    "random": lambda config: RandomDriver(seed=None, config=config),
+    "random": RandomDriver,
     "glide": Glide,
 }
 """Scripted drivers by name. ``human`` is human driving only where the adoption is 0, which evaluation sees to."""

@@ -7,12 +7,10 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from izoo.algos.drivers.base import DEFER, ScriptedDriver
+from izoo.algos.drivers.observed import Observed
 from izoo.algos.learners.base import ACTION, MASK
 from izoo.algos.learners.registry import CAP
-from izoo.contexts.features import feature
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, MIN_SHARE, SPEED, STOP, EnvConfig
-from izoo.envs.mdp.frame import observation_names
-from izoo.envs.mdp.observation import SPEED_SCALE_MPS
 from izoo.errors import IzooError, check_range
 
 
@@ -28,11 +26,10 @@ class ConstantSpeed(ScriptedDriver):
         super().__init__()
         check_range("speed_mps", speed_mps, 0.0, 60.0, "m/s")
         self.speed_mps, self.decision_s = speed_mps, config.decision_s
-        self.column = observation_names(config).index("speed")
+        self.seen = Observed(config)
 
     def drive(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-        speed = observation[..., self.column] * SPEED_SCALE_MPS
-        return (self.speed_mps - speed) / self.decision_s, torch.zeros_like(mask)
+        return (self.speed_mps - self.seen(observation, "speed")) / self.decision_s, torch.zeros_like(mask)
 
 
 class ConstantAcceleration(ScriptedDriver):
@@ -78,12 +75,8 @@ class CappedSpeed(ScriptedDriver):
                     f"{CAP}{share:g} is below the least desired speed of env.action=speed; give {MIN_SHARE:g} or more."
                 )
             return
-        names = observation_names(config)
-        if "context_speed_limit_mps" not in names:
-            raise IzooError("a speed cap needs the limit in the observation; add speed_limit_mps to env.observed.")
+        self.seen = Observed(config, ("context_speed_limit_mps",), "a speed cap")
         self.response_s = max(1.0, config.decision_s)
-        self.speed, self.limit = names.index("speed"), names.index("context_speed_limit_mps")
-        self.limit_scale = feature("speed_limit_mps").scale
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the action keys."""
@@ -94,7 +87,7 @@ class CappedSpeed(ScriptedDriver):
         return tensordict.set(DEFER, torch.zeros_like(mask))
 
     def drive(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-        speed = observation[..., self.speed] * SPEED_SCALE_MPS
-        above = speed - self.share * observation[..., self.limit] * self.limit_scale
+        place, scale = self.seen.columns["context_speed_limit_mps"]
+        above = self.seen(observation, "speed") - self.share * observation[..., place] * scale
         free = (above < -self.near_mps) | torch.full_like(mask, self.share >= 1.0)
         return (-above / self.response_s).clamp_min(-self.brake_mps2), free

@@ -8,12 +8,9 @@ import torch
 from torch import Tensor
 
 from izoo.algos.drivers.base import ScriptedDriver
-from izoo.algos.drivers.signal_timing import greens
-from izoo.contexts.features import feature
+from izoo.algos.drivers.observed import Observed
 from izoo.envs.config import ACTION_LOW_MPS2, EnvConfig
-from izoo.envs.mdp.frame import observation_names
-from izoo.envs.mdp.observation import DISTANCE_SCALE_M, SPEED_SCALE_MPS, TIME_SCALE_S
-from izoo.errors import CheckedOptions, IzooError
+from izoo.errors import CheckedOptions
 
 
 @dataclass(frozen=True)
@@ -96,26 +93,17 @@ class Glide(ScriptedDriver):
         super().__init__()
         self.settings = settings or GlideConfig()
         self.response_s = max(self.settings.response_s, config.decision_s)
-        self.columns = {name: column for column, name in enumerate(observation_names(config))}
-        needed = (
-            "leader_present",
-            *(f"context_{name}" for name in ("green_s", "red_s", "speed_limit_mps", "lane_count")),
-        )
-        missing = [name for name in needed if name not in self.columns]
-        if missing:
-            raise IzooError(
-                f"glide needs {', '.join(missing)} in the observation; observe the leader (env.neighbours) and the "
-                "features green_s, red_s, speed_limit_mps and lane_count (env.observed)."
-            )
+        features = ("green_s", "red_s", "speed_limit_mps", "lane_count")
+        self.seen = Observed(config, ("leader_present", *(f"context_{name}" for name in features)), "glide")
 
     def drive(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         s = self.settings
-        distance = -self._column(observation, "stop_line_distance", DISTANCE_SCALE_M)
-        speed = self._column(observation, "speed", SPEED_SCALE_MPS)
-        limit = self._column(observation, "context_speed_limit_mps", feature("speed_limit_mps").scale).clamp_min(1.0)
-        gap = self._column(observation, "leader_distance", DISTANCE_SCALE_M)
-        leader = observation[..., self.columns["leader_present"]] > 0.5
-        approaching = observation[..., self.columns["location_approaching"]] > 0.5
+        distance = -self.seen(observation, "stop_line_distance")
+        speed = self.seen(observation, "speed")
+        limit = self.seen(observation, "context_speed_limit_mps").clamp_min(1.0)
+        gap = self.seen(observation, "leader_distance")
+        leader = self.seen.flag(observation, "leader_present")
+        approaching = self.seen.flag(observation, "location_approaching")
         free_s = distance / limit
         arrival_s = self.passing_time(observation, distance, free_s)
         advised = torch.maximum(distance / arrival_s.clamp_min(0.1), torch.zeros_like(limit) + s.floor_mps)
@@ -131,9 +119,9 @@ class Glide(ScriptedDriver):
     def gliding_pays(self, observation: Tensor) -> Tensor:
         """Return whether the approach has few enough lanes and the movement green for long enough, ``[*B, A]``."""
         s = self.settings
-        lanes = self._column(observation, "context_lane_count", feature("lane_count").scale)
-        green = self._column(observation, "context_green_s", feature("green_s").scale)
-        red = self._column(observation, "context_red_s", feature("red_s").scale)
+        lanes = self.seen(observation, "context_lane_count")
+        green = self.seen(observation, "context_green_s")
+        red = self.seen(observation, "context_red_s")
         return (lanes < s.max_lanes + 0.5) & (green >= s.min_green_share * (green + red))
 
     def stop(self, observation: Tensor, distance: Tensor, speed: Tensor) -> tuple[Tensor, Tensor]:
@@ -147,9 +135,9 @@ class Glide(ScriptedDriver):
             speed: ``[*B, A]`` m/s.
         """
         s = self.settings
-        gap = self._column(observation, "leader_distance", DISTANCE_SCALE_M)
-        queued = observation[..., self.columns["leader_present"]] > 0.5
-        queued &= self._column(observation, "leader_speed", SPEED_SCALE_MPS) < s.queue_speed_mps
+        gap = self.seen(observation, "leader_distance")
+        queued = self.seen.flag(observation, "leader_present")
+        queued &= self.seen(observation, "leader_speed") < s.queue_speed_mps
         ahead = torch.where(queued, torch.minimum(gap - s.standing_gap_m, distance), distance)
         decel = 0.5 * speed**2 / ahead.clamp_min(1.0)
         certain = self.stop_is_certain(observation, distance, ahead, speed)
@@ -166,8 +154,8 @@ class Glide(ScriptedDriver):
             ahead: ``[*B, A]`` metres to where it would stand.
             speed: ``[*B, A]`` m/s.
         """
-        red = observation[..., self.columns["signal_red"]] > 0.5
-        left = self._column(observation, "signal_time_left", TIME_SCALE_S)
+        red = self.seen.flag(observation, "signal_red")
+        left = self.seen(observation, "signal_time_left")
         return red & (left > self.settings.stop_margin * ahead / speed.clamp_min(0.5))
 
     def passing_time(self, observation: Tensor, distance: Tensor, free_s: Tensor) -> Tensor:
@@ -180,7 +168,7 @@ class Glide(ScriptedDriver):
         """
         s = self.settings
         queue = self.queue_ahead(observation, distance)
-        starts, length = greens(observation, self.columns)
+        starts, length = self.seen.greens(observation)
         best = torch.full_like(distance, torch.inf)
         for start, end in ((start, start + length) for start in starts):
             # A green that has begun has already discharged a part of the queue; what is seen is what is left.
@@ -195,13 +183,10 @@ class Glide(ScriptedDriver):
     def queue_ahead(self, observation: Tensor, distance: Tensor) -> Tensor:
         """Return how many vehicles each CV expects to pass before it, on its lane, ``[*B, A]``."""
         s = self.settings
-        leader = observation[..., self.columns["leader_present"]] > 0.5
-        gap = self._column(observation, "leader_distance", DISTANCE_SCALE_M)
+        leader = self.seen.flag(observation, "leader_present")
+        gap = self.seen(observation, "leader_distance")
         ahead_m = distance - gap
-        standing = self._column(observation, "leader_speed", SPEED_SCALE_MPS) < s.queue_speed_mps
+        standing = self.seen(observation, "leader_speed") < s.queue_speed_mps
         fill = torch.where(standing, 1.0, s.moving_fill)
         count = 1.0 + fill * ahead_m.clamp_min(0.0) / s.spacing_m
         return torch.where(leader & (ahead_m > 0.0), count, torch.zeros_like(count))
-
-    def _column(self, observation: Tensor, name: str, scale: float) -> Tensor:
-        return observation[..., self.columns[name]] * scale

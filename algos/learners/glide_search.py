@@ -23,13 +23,12 @@ from torch import Tensor
 from izoo.algos.actions.action_modes import ActionSpace, DirectAction
 from izoo.algos.drivers.base import DEFER
 from izoo.algos.drivers.glide import Glide
+from izoo.algos.drivers.observed import Observed
 from izoo.algos.learners import base
 from izoo.algos.learners.cmaes import CMAES, CMAESConfig, acting_parameters
 from izoo.algos.learners.registry import ON_TWIN
-from izoo.contexts.features import feature
 from izoo.envs import COMPILED
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, BY_STEP, EnvConfig
-from izoo.envs.mdp.observation import DISTANCE_SCALE_M, TIME_SCALE_S
 from izoo.envs.mdp.reward import RewardConfig
 from izoo.errors import IzooError
 
@@ -158,12 +157,7 @@ class SearchedGlide(Glide):
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
-        missing = [name for name in NEEDED if name not in self.columns]
-        if missing:
-            raise IzooError(
-                f"algo=glide_search also looks at {', '.join(missing)}; add follower to env.neighbours, and adoption "
-                "and lane_length_m to env.observed."
-            )
+        self.seen = Observed(config, NEEDED, "algo=glide_search")
         self.shortest_response_s = config.decision_s
 
     def drive_with(self, numbers: Tensor, observation: Tensor, environments: Tensor) -> tuple[Tensor, Tensor]:
@@ -190,17 +184,17 @@ class SearchedGlide(Glide):
 
     def lanes(self, observation: Tensor) -> Tensor:
         """Return how many lanes each CV's approach has, in the shape of ``observation`` without its last dimension."""
-        return self._column(observation, "context_lane_count", feature("lane_count").scale)
+        return self.seen(observation, "context_lane_count")
 
     def gliding_pays(self, observation: Tensor) -> Tensor:
         """Return where the gate is open, ``[M]``."""
-        green = self._column(observation, "context_green_s", feature("green_s").scale)
-        red = self._column(observation, "context_red_s", feature("red_s").scale)
-        limit = self._column(observation, "context_speed_limit_mps", feature("speed_limit_mps").scale).clamp_min(1.0)
-        distance = -self._column(observation, "stop_line_distance", DISTANCE_SCALE_M)
+        green = self.seen(observation, "context_green_s")
+        red = self.seen(observation, "context_red_s")
+        limit = self.seen(observation, "context_speed_limit_mps").clamp_min(1.0)
+        distance = -self.seen(observation, "stop_line_distance")
         free_s = distance / limit
         lost_s = (self.passing_time(observation, distance, free_s) - free_s).clamp(0.0, 60.0)
-        follower = self._column(observation, "follower_distance", DISTANCE_SCALE_M) < FOLLOWER_M
+        follower = self.seen(observation, "follower_distance") < FOLLOWER_M
         features = (
             torch.ones_like(distance),
             4.0 * (green / (green + red).clamp_min(1.0) - 0.3),
@@ -208,7 +202,7 @@ class SearchedGlide(Glide):
             distance / 150.0 - 1.0,
             follower.float() - 0.5,
             (self.lanes(observation) - 2.5) / 1.5,
-            3.0 * (self._column(observation, "context_adoption", 1.0) - 1.0 / 3.0),
+            3.0 * (self.seen(observation, "context_adoption") - 1.0 / 3.0),
             self.traffic(observation) / 3.0 - 1.0,
             red / 30.0 - 1.0,
         )
@@ -216,10 +210,10 @@ class SearchedGlide(Glide):
 
     def stop_is_certain(self, observation: Tensor, distance: Tensor, ahead: Tensor, speed: Tensor) -> Tensor:
         """Return whether the present red, or the end of the present green, keeps each CV from passing, ``[M]``."""
-        red = observation[..., self.columns["signal_red"]] > 0.5
-        green = observation[..., self.columns["signal_green"]] > 0.5
-        left = self._column(observation, "signal_time_left", TIME_SCALE_S)
-        limit = self._column(observation, "context_speed_limit_mps", feature("speed_limit_mps").scale).clamp_min(1.0)
+        red = self.seen.flag(observation, "signal_red")
+        green = self.seen.flag(observation, "signal_green")
+        left = self.seen(observation, "signal_time_left")
+        limit = self.seen(observation, "context_speed_limit_mps").clamp_min(1.0)
         too_late = green & (distance / torch.maximum(limit, speed) > left + LATE_S)
         yellow = ~red & ~green & (distance > 0.5 * speed**2 / YELLOW_MPS2)
         return super().stop_is_certain(observation, distance, ahead, speed) | too_late | yellow
@@ -231,13 +225,13 @@ class SearchedGlide(Glide):
         to be on the same approach where length, limit and lanes of theirs are the same.
         """
         names = ("context_lane_length_m", "context_speed_limit_mps", "context_lane_count")
-        approach = observation[:, [self.columns[name] for name in names]]
+        approach = torch.stack([self.seen(observation, name) for name in names], -1)
         places = torch.cat([self.environments.unsqueeze(-1).to(approach.dtype), approach], -1)
         approaches, own = places.unique(dim=0, return_inverse=True)
-        comes = observation[:, self.columns["location_approaching"]] > 0.5
+        comes = self.seen.flag(observation, "location_approaching")
         count = approach.new_zeros(len(approaches)).index_add_(0, own[comes], approach.new_ones(int(comes.sum())))
-        length_m = self._column(observation, "context_lane_length_m", feature("lane_length_m").scale)
-        share = self._column(observation, "context_adoption", 1.0)
+        length_m = self.seen(observation, "context_lane_length_m")
+        share = self.seen(observation, "context_adoption")
         road = (share * self.lanes(observation) * length_m / 100.0).clamp_min(1e-3)
         return (count[own] / road).clamp_max(12.0)
 

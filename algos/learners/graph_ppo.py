@@ -92,7 +92,7 @@ class GCRLConfig(PPOConfig):
         stack alone, while its model (``TorchModelV2``) runs on the old one: there they stay at 128.
         """
         return replace(
-            cls(**vars(PPOConfig.paper()) | {"name": "gcrl"}),
+            super().paper(),
             epochs=10,
             max_grad_norm=4.0,
             hidden=(64,),

@@ -92,11 +92,6 @@ class MAPPOConfig(PPOConfig):
                 "or algo.credit=agent."
             )
 
-    @classmethod
-    def paper(cls) -> MAPPOConfig:
-        """Return the preset ``paper``: RLlib 2.11's defaults of PPO, and the critic as here."""
-        return cls(**vars(PPOConfig.paper()) | {"name": "mappo"})
-
 
 class SetCritic(SetNetwork):
     """Values of agents that form a set.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -29,6 +29,9 @@ from izoo.algos.networks.masking import is_set_module
 from izoo.envs import REFERENCE
 from izoo.envs.config import BY_STEP, RewardConfig
 from izoo.errors import IzooError, Ranges
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 POPART_BETA = 0.99
 """What is left of a batch's weight in the statistics one batch later."""
@@ -166,7 +169,7 @@ class PPOConfig(AlgoConfig):
             )
 
     @classmethod
-    def vehicle(cls) -> PPOConfig:
+    def vehicle(cls) -> Self:
         """Return the preset ``vehicle``: for tasks in which a CV decides once, with few and long decisions."""
         return cls(
             frames_per_batch=1536,
@@ -179,7 +182,7 @@ class PPOConfig(AlgoConfig):
         )
 
     @classmethod
-    def imitation(cls) -> PPOConfig:
+    def imitation(cls) -> Self:
         """Return the preset ``imitation``: the policy imitates glide, every 2 s, for the whole run."""
         return cls(
             frames_per_batch=9600,
@@ -193,7 +196,7 @@ class PPOConfig(AlgoConfig):
         )
 
     @classmethod
-    def paper(cls) -> PPOConfig:
+    def paper(cls) -> Self:
         """Return the preset ``paper``: RLlib 2.11's defaults, as the paper used them.
 
         RLlib samples a normal distribution and clips it to the action range, where this squashes it with a tanh.

@@ -16,10 +16,18 @@ from torchrl.modules import ValueNorm
 from torchrl.objectives import ClipPPOLoss, ValueEstimators
 
 from izoo.algos.learners import base
-from izoo.algos.losses.empty_batch import has_no_agents, no_losses
 from izoo.algos.losses.masked_gae import MaskedGAE
 from izoo.algos.networks.censored_normal import normal_of
-from izoo.algos.networks.masking import AROUND, check_finite, is_set_module, on_rows, rows_around, rows_of
+from izoo.algos.networks.masking import (
+    AROUND,
+    check_finite,
+    has_no_agents,
+    is_set_module,
+    no_losses,
+    on_rows,
+    rows_around,
+    rows_of,
+)
 from izoo.algos.networks.set_networks import COLUMN, FRAME
 from izoo.errors import IzooError
 

@@ -12,8 +12,7 @@ from tensordict.utils import NestedKey
 from torchrl.objectives import ValueEstimators
 
 from izoo.algos.learners import base
-from izoo.algos.losses.empty_batch import has_no_agents, no_losses
-from izoo.algos.networks.masking import path_of, rows_of
+from izoo.algos.networks.masking import has_no_agents, no_losses, path_of, rows_of
 
 
 @dataclass

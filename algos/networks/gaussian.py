@@ -100,46 +100,35 @@ class SamplingPolicy(TensorDictModuleBase):
         shape = mask.shape if self.size == 1 else (*mask.shape, self.size)
         draw = torch.randn if base.explores() else torch.zeros
         noise = draw(shape, dtype=observation.dtype, device=observation.device)
-        if self.size > 1:
-            for key, value in self._vectors(observation, mask, noise).items():
-                agents.set(key, value)
-            return tensordict
         loc, scale, action, log_prob = self.sample(observation, mask, noise, agents.get("two_sided", None)).unbind(0)
-        one = {"loc": loc.unsqueeze(-1), "scale": scale.unsqueeze(-1), "action": action.unsqueeze(-1)}
-        for key, value in (*one.items(), ("action_log_prob", log_prob)):
+        if self.size == 1:
+            loc, scale, action = (part.unsqueeze(-1) for part in (loc, scale, action))
+        else:
+            log_prob = log_prob.sum(-1)
+        for key, value in {"loc": loc, "scale": scale, "action": action, "action_log_prob": log_prob}.items():
             agents._set_str(key, value, validated=True, inplace=False, non_blocking=False)  # shapes are right
         return tensordict
 
-    def _vectors(self, observation: Tensor, mask: Tensor, noise: Tensor) -> dict[str, Tensor]:
-        """Return by name what actions of several numbers need; ``noise`` is ``[*B, A, D]``."""
-        found = squashed_sample(*self.parameters_of(observation, mask), noise[mask], *self.bounds)
-        padded = observation.new_zeros((4, *noise.shape))
-        padded[1].fill_(1.0)
-        padded[:, mask] = found
-        loc, scale, action, log_prob = padded.unbind(0)
-        return {"loc": loc, "scale": scale, "action": action, "action_log_prob": log_prob.sum(-1)}
-
     def sample(self, observation: Tensor, mask: Tensor, noise: Tensor, two_sided: Tensor | None = None) -> Tensor:
-        """Return loc, scale, action and log-probability, ``[4, *B, A]``.
+        """Return loc, scale, action and log-probability of each number of an action, ``[4, *noise.shape]``.
 
         Args:
             observation, mask: ``[*B, A, F]`` and ``[*B, A]``.
-            noise: ``[*B, A]`` standard normal.
+            noise: ``[*B, A]`` standard normal; for actions of several numbers ``[*B, A, D]``.
             two_sided: ``[*B, A]`` bool: actions below 0 differ from 0.
         """
         loc, scale = self.parameters_of(observation, mask)
+        drawn = noise[mask].view(loc.shape)
         if self.half_band >= 0.0:
-            distribution = CensoredNormal(
-                loc, scale, self.bounds[1], self.half_band, None if two_sided is None else two_sided[mask]
-            )
-            action = distribution.censor(torch.addcmul(loc, scale, noise[mask].unsqueeze(-1)))
-            parts = (loc.squeeze(-1), scale.squeeze(-1), action.squeeze(-1), distribution.log_prob(action))
-            sample = torch.stack(parts)
+            sides = None if two_sided is None else two_sided[mask]
+            distribution = CensoredNormal(loc, scale, self.bounds[1], self.half_band, sides)
+            action = distribution.censor(torch.addcmul(loc, scale, drawn))
+            sample = torch.stack((loc, scale, action, distribution.log_prob(action).unsqueeze(-1)))
         else:
-            sample = squashed_sample(loc.squeeze(-1), scale.squeeze(-1), noise[mask], *self.bounds)
-        padded = observation.new_zeros((4, *mask.shape))
+            sample = squashed_sample(loc, scale, drawn, *self.bounds)
+        padded = observation.new_zeros((4, *noise.shape))
         padded[1].fill_(1.0)
-        padded[:, mask] = sample
+        padded[:, mask] = sample.reshape(4, -1, *noise.shape[mask.ndim :])
         return padded
 
     def parameters_of(self, observation: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
@@ -160,7 +149,7 @@ class CompiledPolicy(SamplingPolicy):
 
     def sample(self, observation: Tensor, mask: Tensor, noise: Tensor, two_sided: Tensor | None = None) -> Tensor:
         """Return loc, scale, action and log-probability, ``[4, *B, A]``; see :meth:`SamplingPolicy.sample`."""
-        if not compiled_mlp.compilable(observation):
+        if self.size > 1 or not compiled_mlp.compilable(observation):
             return super().sample(observation, mask, noise, two_sided)
         flags = np.zeros(mask.numel(), np.uint8) if two_sided is None else two_sided.reshape(-1).numpy().view(np.uint8)
         out, network = np.empty((4, mask.numel()), np.float32), self.arrays.current()

@@ -10,6 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import Tensor
+from torchrl.objectives import LossModule
 
 from izoo.algos.networks.set_networks import COLUMN, FRAME, Sets, places
 from izoo.errors import IzooError
@@ -166,3 +167,15 @@ def check_finite(rows: TensorDictBase, mask: Tensor | None = None, origin: Tenso
 def path_of(key: NestedKey) -> tuple[str, ...]:
     """Return a key as a tuple."""
     return (key,) if isinstance(key, str) else tuple(key)
+
+
+def has_no_agents(batch: TensorDictBase, mask: Tensor | None) -> bool:
+    """Whether no agent is in a batch ``[*B]``: light traffic makes such ones."""
+    return batch.numel() == 0 if mask is None else not bool(mask.any())
+
+
+def no_losses(loss: LossModule) -> TensorDict:
+    """Return losses of 0, whose gradients are 0, and statistics of 0: TorchRL's averages over no rows are NaN."""
+    zero = 0.0 * torch.stack([weights.sum() for weights in loss.parameters()]).sum()
+    keys = loss.out_keys
+    return TensorDict({key: zero if key.startswith("loss_") else zero.detach() for key in keys}, batch_size=[])

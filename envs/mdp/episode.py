@@ -68,10 +68,10 @@ class DemandAtHorizon(NamedTuple):
     """
 
     due: Sequence[int]
-    dropped: Sequence[int]
-    waiting: Sequence[int]
-    outside: Sequence[int]
-    early: Sequence[int]
+    dropped: Sequence[int] = ()
+    waiting: Sequence[int] = ()
+    outside: Sequence[int] = ()
+    early: Sequence[int] = ()
 
 
 class Episode:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from izoo.contexts.context import ENGINES, Context
-from izoo.contexts.features import BY_NAME, scales
+from izoo.contexts.features import BY_NAME
 from izoo.networks.clock import GREEN, RED, YELLOW
 from izoo.networks.road import APPROACHING, INSIDE, LEAVING, RoadNet
 from izoo.networks.turning import LEFT, RIGHT, STRAIGHT
@@ -49,12 +49,16 @@ class Column:
     meaning: str = ""
 
 
-def _speed(vehicle: Any, road: Any, signal: Any) -> float:
-    return vehicle.speed_mps
+def _located(where: int) -> Callable[..., float]:
+    return lambda vehicle, road, signal: 1.0 if vehicle.location == where else 0.0
 
 
-def _stop_line(vehicle: Any, road: Any, signal: Any) -> float:
-    return vehicle.stop_line_distance_m
+def _turning(turn: int) -> Callable[..., float]:
+    return lambda vehicle, road, signal: 1.0 if vehicle.movement == turn else 0.0
+
+
+def _shows(colour: int) -> Callable[..., float]:
+    return lambda vehicle, road, signal: 1.0 if signal.colour == colour else 0.0
 
 
 def _lane(vehicle: Any, road: Any, signal: Any) -> float:
@@ -63,42 +67,15 @@ def _lane(vehicle: Any, road: Any, signal: Any) -> float:
     return lane.index / (siblings - 1) if siblings > 1 else 0.0
 
 
-def _time_left(vehicle: Any, road: Any, signal: Any) -> float:
-    return signal.change_s
-
-
-def _second_green(vehicle: Any, road: Any, signal: Any) -> float:
-    return signal.second_green_s
-
-
-def _third_green(vehicle: Any, road: Any, signal: Any) -> float:
-    return signal.third_green_s
-
-
-def _located(where: int) -> Callable[..., float]:
-    def value(vehicle: Any, road: Any, signal: Any) -> float:
-        return 1.0 if vehicle.location == where else 0.0
-
-    return value
-
-
-def _turning(turn: int) -> Callable[..., float]:
-    def value(vehicle: Any, road: Any, signal: Any) -> float:
-        return 1.0 if vehicle.movement == turn else 0.0
-
-    return value
-
-
-def _shows(colour: int) -> Callable[..., float]:
-    def value(vehicle: Any, road: Any, signal: Any) -> float:
-        return 1.0 if signal.colour == colour else 0.0
-
-    return value
-
-
 EGO_COLUMNS = (
-    Column("speed", "m/s", SPEED_SCALE_MPS, _speed),
-    Column("stop_line_distance", "m", DISTANCE_SCALE_M, _stop_line, "negative before the line, 0 in the junction"),
+    Column("speed", "m/s", SPEED_SCALE_MPS, lambda vehicle, road, signal: vehicle.speed_mps),
+    Column(
+        "stop_line_distance",
+        "m",
+        DISTANCE_SCALE_M,
+        lambda vehicle, road, signal: vehicle.stop_line_distance_m,
+        "negative before the line, 0 in the junction",
+    ),
     Column("location_approaching", "", 1.0, _located(APPROACHING)),
     Column("location_inside", "", 1.0, _located(INSIDE)),
     Column("location_leaving", "", 1.0, _located(LEAVING)),
@@ -109,43 +86,43 @@ EGO_COLUMNS = (
     Column("signal_green", "", 1.0, _shows(GREEN), "of the vehicle's own movement, as are those that follow"),
     Column("signal_yellow", "", 1.0, _shows(YELLOW)),
     Column("signal_red", "", 1.0, _shows(RED)),
-    Column("signal_time_left", "s", TIME_SCALE_S, _time_left, "until the colour changes"),
-    Column("signal_second_green", "s", TIME_SCALE_S, _second_green, "until the second green; a current one is first"),
-    Column("signal_third_green", "s", TIME_SCALE_S, _third_green, "until the third green"),
+    Column(
+        "signal_time_left",
+        "s",
+        TIME_SCALE_S,
+        lambda vehicle, road, signal: signal.change_s,
+        "until the colour changes",
+    ),
+    Column(
+        "signal_second_green",
+        "s",
+        TIME_SCALE_S,
+        lambda vehicle, road, signal: signal.second_green_s,
+        "until the second green; a current one is first",
+    ),
+    Column(
+        "signal_third_green",
+        "s",
+        TIME_SCALE_S,
+        lambda vehicle, road, signal: signal.third_green_s,
+        "until the third green",
+    ),
 )
-
-
-def _other_speed(other: Any, present: bool, gap_m: float, lane_exists: bool) -> float:
-    return other.speed_mps if present else 0.0
-
-
-def _other_distance(other: Any, present: bool, gap_m: float, lane_exists: bool) -> float:
-    return gap_m
-
-
-def _other_blinker_left(other: Any, present: bool, gap_m: float, lane_exists: bool) -> float:
-    return float(other.blinker_left) if present else 0.0
-
-
-def _other_blinker_right(other: Any, present: bool, gap_m: float, lane_exists: bool) -> float:
-    return float(other.blinker_right) if present else 0.0
-
-
-def _other_present(other: Any, present: bool, gap_m: float, lane_exists: bool) -> float:
-    return 1.0 if present else 0.0
-
-
-def _lane_exists(other: Any, present: bool, gap_m: float, lane_exists: bool) -> float:
-    return 1.0 if lane_exists else 0.0
-
-
 NEIGHBOUR_COLUMNS = (
-    Column("speed", "m/s", SPEED_SCALE_MPS, _other_speed),
-    Column("distance", "m", DISTANCE_SCALE_M, _other_distance, f"bumper to bumper; {FAR_M:g} m if absent"),
-    Column("blinker_left", "", 1.0, _other_blinker_left),
-    Column("blinker_right", "", 1.0, _other_blinker_right),
-    Column("present", "", 1.0, _other_present),
-    Column("lane_exists", "", 1.0, _lane_exists),
+    Column("speed", "m/s", SPEED_SCALE_MPS, lambda other, present, gap_m, lane: other.speed_mps if present else 0.0),
+    Column(
+        "distance",
+        "m",
+        DISTANCE_SCALE_M,
+        lambda other, present, gap_m, lane: gap_m,
+        f"bumper to bumper; {FAR_M:g} m if absent",
+    ),
+    Column("blinker_left", "", 1.0, lambda other, present, gap_m, lane: float(other.blinker_left) if present else 0.0),
+    Column(
+        "blinker_right", "", 1.0, lambda other, present, gap_m, lane: float(other.blinker_right) if present else 0.0
+    ),
+    Column("present", "", 1.0, lambda other, present, gap_m, lane: 1.0 if present else 0.0),
+    Column("lane_exists", "", 1.0, lambda other, present, gap_m, lane: 1.0 if lane else 0.0),
 )
 
 EGO_FEATURES = tuple(column.name for column in EGO_COLUMNS)
@@ -170,7 +147,7 @@ def observed_table(context: Context, road: RoadNet, names: Sequence[str]) -> np.
     table = np.empty((*road.movement_turn.shape, len(names)))
     for k, name in enumerate(names):
         table[..., k] = FEATURE_VALUES[name](context, road)
-    return table / np.array(scales(names))
+    return table / np.array([BY_NAME[name].scale for name in names])
 
 
 def neighbour_columns(neighbours: Sequence[str]) -> np.ndarray:

@@ -8,12 +8,11 @@ and the compiled code (:mod:`izoo.envs.mdp.reward_kernel`).
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from izoo.errors import IzooError, check_range, check_types
+from izoo.errors import CheckedOptions, IzooError
 
 TTC_CAP_S = 10.0
 _TERM = "reward term"
@@ -52,10 +51,6 @@ def term(
     return dataclasses.field(default=weight, metadata={_TERM: RewardTerm(name, unit, value, upper), "help": help})
 
 
-def _speed_mps(vehicle: Any, config: Any) -> float:
-    return vehicle.speed_mps
-
-
 def _stopped(vehicle: Any, config: Any) -> float:
     v = vehicle.speed_mps
     if v >= config.tau_mps:
@@ -63,28 +58,8 @@ def _stopped(vehicle: Any, config: Any) -> float:
     return (config.tau_mps - v) / config.tau_mps if config.soft_stop else 1.0
 
 
-def _emission_g(vehicle: Any, config: Any) -> float:
-    return vehicle.emission_g
-
-
-def _comfort(vehicle: Any, config: Any) -> float:
-    return -abs(vehicle.accel_mps2)
-
-
-def _realism(vehicle: Any, config: Any) -> float:
-    return -abs(vehicle.accel_mps2 - vehicle.prev_accel_mps2)
-
-
-def _delay_s(vehicle: Any, config: Any) -> float:
-    return vehicle.delay_s
-
-
-def _ttc_s(vehicle: Any, config: Any) -> float:
-    return vehicle.ttc_s
-
-
 @dataclass(frozen=True)
-class RewardConfig:
+class RewardConfig(CheckedOptions):
     """Weights of the reward, ``r_i = (sum of w_k (eta mean_j(x_jk) + (1 - eta) x_ik) + sum of w_s y_s) / scale``.
 
     ``x_ik`` are the individual terms of vehicle ``i`` after the step: its speed in m/s, whether it is stopped, its CO2
@@ -106,26 +81,41 @@ class RewardConfig:
     """
 
     eta: float = 1.0
-    speed: float = term(1.0, "speed_mps", "m/s", _speed_mps, "weight of speed.")
+    speed: float = term(1.0, "speed_mps", "m/s", lambda vehicle, config: vehicle.speed_mps, "weight of speed.")
     alpha: float = term(-35.0, "stopped", "1", _stopped, "weight of stopping.")
-    beta: float = term(-3.0, "emission_g", "g", _emission_g, "weight of emission.")
+    beta: float = term(-3.0, "emission_g", "g", lambda vehicle, config: vehicle.emission_g, "weight of emission.")
     tau_mps: float = 1.0
     scale: float = 15.0
     soft_stop: bool = False
     sums: bool = False
-    comfort: float = term(0.0, "comfort", "m/s^2", _comfort, "weight of the comfort term.")
-    realism: float = term(0.0, "realism", "m/s^2", _realism, "weight of the kinematic-realism term.")
+    comfort: float = term(
+        0.0, "comfort", "m/s^2", lambda vehicle, config: -abs(vehicle.accel_mps2), "weight of the comfort term."
+    )
+    realism: float = term(
+        0.0,
+        "realism",
+        "m/s^2",
+        lambda vehicle, config: -abs(vehicle.accel_mps2 - vehicle.prev_accel_mps2),
+        "weight of the kinematic-realism term.",
+    )
     delay: float = term(
-        0.0, "delay_s", "s", _delay_s, "weight of the time lost against driving at the limit, below 0 to avoid it."
+        0.0,
+        "delay_s",
+        "s",
+        lambda vehicle, config: vehicle.delay_s,
+        "weight of the time lost against driving at the limit, below 0 to avoid it.",
     )
     safety: float = term(
         0.0,
         "min_ttc_s",
         "s",
-        _ttc_s,
+        lambda vehicle, config: vehicle.ttc_s,
         "weight of the smallest time to collision over all vehicles, capped at 10 s, shared by all.",
         upper=TTC_CAP_S,
     )
+
+    group = "reward"
+    ranges = (("eta", 0.0, 1.0), ("tau_mps", 1e-3, 100.0, "m/s"), ("scale", 1e-6, 1e9))
 
     @classmethod
     def paper(cls) -> RewardConfig:
@@ -147,18 +137,12 @@ class RewardConfig:
         return dataclasses.replace(cls.fuel(), eta=1.0)
 
     def __post_init__(self) -> None:
-        check_types("reward", self)
-        check_range("reward.eta", self.eta, 0.0, 1.0)
-        check_range("reward.tau_mps", self.tau_mps, 1e-3, 100.0, "m/s")
-        check_range("reward.scale", self.scale, 1e-6, 1e9)
+        super().__post_init__()
         if self.sums and not (self.beta or self.delay):
             raise IzooError(
                 "reward.sums=true is in units of human driving's CO2, but reward.beta and reward.delay are both 0: the "
                 "reward has no CO2 and no delay. Choose env.reward=fuel, or set one of them below 0."
             )
-        for option in TERMS:
-            if not math.isfinite(getattr(self, option)):
-                raise IzooError(f"reward.{option} is {getattr(self, option)}; give a finite number, 0 to leave it out.")
 
 
 PRESETS = ("paper", "fuel", "fuel_team")

@@ -1,6 +1,6 @@
 """The only module that imports libsumo: starts, loads, steps and reads one simulation in this process.
 
-Vehicle ids are used in this package only (:mod:`izoo.envs.sumo.vehicle_ids`).
+Vehicle ids are used in this package only.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from izoo.envs.sumo.stderr_filter import StderrFilter
 from izoo.errors import IzooError
 from izoo.networks.net.netconvert import SUMO_VERSION
 
-_CHECK_ALL = 31  # speed mode: safe speed, own acceleration and deceleration limits, right of way, red lights
 _INSTALL = f"pip install libsumo=={SUMO_VERSION} eclipse-sumo=={SUMO_VERSION}"
 
 # libsumo runs one simulation per process; this session owns it.
@@ -106,6 +105,17 @@ class SumoSession:
 
     Args:
         gui: show it in a sumo-gui window, controlled through TraCI; otherwise libsumo runs inside this process.
+
+    Attributes:
+        advance: simulates one step.
+        arrived, departed: vehicles that ended their route, and that entered the network, in the last step.
+        driving, waiting: all vehicles in the network, and those that wait to enter it.
+        on_edge: vehicles on an edge.
+        acceleration, free_speed: of a vehicle in the last step in m/s^2; the speed in m/s that it would have chosen
+            without a command.
+        change_lane: requests a change by one lane (positive: to the left) of a vehicle, for some seconds.
+        limit_speed: sets a vehicle's maximum speed permanently: its own car-following keeps to it.
+        set_speed_mode, set_lane_change_mode: what SUMO checks of a vehicle's commands, and does by itself.
     """
 
     def __init__(self, gui: bool = False) -> None:
@@ -154,29 +164,26 @@ class SumoSession:
 
     def _bind(self, api: Any) -> None:
         """Look up the functions of the inner loop once; the flat ones save a Python call per value."""
-        flat, vehicle = getattr(api, "_libsumo", None), api.vehicle
+        flat, vehicle, simulation = getattr(api, "_libsumo", None), api.vehicle, api.simulation
         self._lane = getattr(flat, "vehicle_getLaneID", vehicle.getLaneID)
         self._position = getattr(flat, "vehicle_getLanePosition", vehicle.getLanePosition)
         self._speed = getattr(flat, "vehicle_getSpeed", vehicle.getSpeed)
         self._signals = getattr(flat, "vehicle_getSignals", vehicle.getSignals)
         self._set_speed = getattr(flat, "vehicle_setSpeed", vehicle.setSpeed)
-        self._acceleration = vehicle.getAcceleration
-        self._free_speed = vehicle.getSpeedWithoutTraCI
-        self._change_lane = vehicle.changeLaneRelative
-        self._on_edge = api.edge.getLastStepVehicleIDs
         self._count_on_edge = getattr(flat, "edge_getLastStepVehicleNumber", api.edge.getLastStepVehicleNumber)
-        self._simulation = api.simulation
-        self._departed = getattr(flat, "simulation_getDepartedIDList", api.simulation.getDepartedIDList)
-        self._vehicle = vehicle
-        self._advance = api.simulationStep
-
-    def advance(self) -> None:
-        """Simulate one step."""
-        self._advance()
+        self._simulation = simulation
+        self.advance = api.simulationStep
+        self.arrived = simulation.getArrivedIDList
+        self.departed = getattr(flat, "simulation_getDepartedIDList", simulation.getDepartedIDList)
+        self.driving, self.waiting = vehicle.getIDList, simulation.getPendingVehicles
+        self.on_edge = api.edge.getLastStepVehicleIDs
+        self.acceleration, self.free_speed = vehicle.getAcceleration, vehicle.getSpeedWithoutTraCI
+        self.change_lane, self.limit_speed = vehicle.changeLaneRelative, vehicle.setMaxSpeed
+        self.set_speed_mode, self.set_lane_change_mode = vehicle.setSpeedMode, vehicle.setLaneChangeMode
 
     def advance_departing(self) -> None:
         """Simulate a step in which vehicles are due to depart, and count those that SUMO drops."""
-        self._stderr.call(self._advance)
+        self._stderr.call(self.advance)
 
     @property
     def dropped(self) -> int:
@@ -191,22 +198,6 @@ class SumoSession:
     def is_empty(self) -> bool:
         """Whether no vehicle is in the network, waits to enter it, or is yet to depart."""
         return bool(self._simulation.getMinExpectedNumber() == 0)
-
-    def arrived(self) -> Sequence[str]:
-        """Vehicles that reached the end of their route in the last step."""
-        return self._simulation.getArrivedIDList()
-
-    def departed(self) -> Sequence[str]:
-        """Vehicles that entered the network in the last step."""
-        return self._departed()
-
-    def driving(self) -> Sequence[str]:
-        """All vehicles in the network."""
-        return self._vehicle.getIDList()
-
-    def on_edge(self, edge: str) -> Sequence[str]:
-        """Vehicles on an edge."""
-        return self._on_edge(edge)
 
     def count_on(self, edges: Sequence[str]) -> int:
         """Number of vehicles on these edges together."""
@@ -224,48 +215,15 @@ class SumoSession:
             np.fromiter(map(self._signals, names), np.int64, n),
         )
 
-    def acceleration(self, name: str) -> float:
-        """Acceleration of the last step in m/s^2."""
-        return float(self._acceleration(name))
-
-    def free_speed(self, name: str) -> float:
-        """Speed in m/s that SUMO would have chosen in the last step without a command."""
-        return float(self._free_speed(name))
-
     def command_speeds(self, names: Sequence[str], speeds_mps: Sequence[float]) -> None:
         """Command speeds from the next step on; SUMO's safety checks stay on. A negative speed ends the command."""
         set_speed = self._set_speed
         for name, speed in zip(names, speeds_mps, strict=True):
             set_speed(name, speed)
 
-    def limit_speeds(self, names: Sequence[str], speeds_mps: Sequence[float]) -> None:
-        """Set the maximum speed of vehicles permanently: their own car-following keeps to it."""
-        for name, speed in zip(names, speeds_mps, strict=True):
-            self._vehicle.setMaxSpeed(name, speed)
-
-    def restrict_lane_changes(self, name: str) -> None:
-        """Allow SUMO to change this vehicle's lane only where its route needs it; commands obey safety gaps."""
-        self._vehicle.setLaneChangeMode(name, 0b001000000001)
-
-    def restore_lane_changes(self, name: str) -> None:
-        """Restore SUMO's default lane changing for this vehicle."""
-        self._vehicle.setLaneChangeMode(name, 0b011001010101)
-
-    def change_lane(self, name: str, steps_left: int, duration_s: float) -> None:
-        """Request a change by one lane (positive: to the left)."""
-        self._change_lane(name, steps_left, duration_s)
-
-    def check_all_speeds(self, name: str) -> None:
-        """Keep all speed checks on for a vehicle that will be commanded."""
-        self._vehicle.setSpeedMode(name, _CHECK_ALL)
-
     def collisions(self) -> list[tuple[str, str]]:
         """Return ``(rear vehicle, other vehicle)`` of the collisions of the last step."""
         return [(c.collider, c.victim) for c in self._simulation.getCollisions()]
-
-    def waiting(self) -> Sequence[str]:
-        """Vehicles that wait to enter the network."""
-        return self._simulation.getPendingVehicles()
 
     def close(self) -> None:
         """End the simulation and release libsumo."""

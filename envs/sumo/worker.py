@@ -21,7 +21,7 @@ from typing import Any
 from izoo.cores import usable_cores
 from izoo.envs.backend import Play
 from izoo.envs.config import EnvConfig
-from izoo.envs.mdp.frame import map_frames, row_of
+from izoo.envs.mdp.frame import map_frames
 from izoo.errors import IzooError
 from izoo.processes import ChildProcess, receive, send
 
@@ -55,7 +55,7 @@ class Worker(ChildProcess):
         busy: whether an answer is outstanding.
     """
 
-    def __init__(self, memory: int, setup: tuple[EnvConfig, int, int, Any], watchdog_s: float) -> None:
+    def __init__(self, memory: int, setup: tuple[EnvConfig, int, int], watchdog_s: float) -> None:
         super().__init__("izoo.envs.sumo.worker:main", memory, inherited=(memory,), watchdog_s=watchdog_s)
         self.episodes, self.busy = 0, False
         self._send(INIT, setup)
@@ -148,8 +148,8 @@ def _serve(descriptor: int, memory: int) -> None:
                 elif kind == BEGIN:
                     simulator.begin({0: pickle.loads(receive(connection))})
                 elif kind == INIT:
-                    config, index, num_workers, weights = pickle.loads(receive(connection))
-                    simulator = _make_simulator(memory, config, index, num_workers, weights)
+                    config, index, num_workers = pickle.loads(receive(connection))
+                    simulator = _make_simulator(memory, config, index, num_workers)
                     poll_s = POLL_S if may_poll(index, num_workers) else 0.0
                 connection.send(DONE)
             except Exception as error:
@@ -197,10 +197,8 @@ def _receive_polling(
     return None
 
 
-def _make_simulator(memory: int, config: EnvConfig, index: int, num_workers: int, weights: Any) -> Any:
+def _make_simulator(memory: int, config: EnvConfig, index: int, num_workers: int) -> Any:
     from izoo.envs.sumo.simulator import SumoSimulator
 
-    for array in weights:
-        array.flags.writeable = False  # as load_weights() returns them, so that one compiled variant serves both
     frames = map_frames(mmap.mmap(memory, 0), config, num_workers)
-    return SumoSimulator(config, row_of(frames, index), weights)
+    return SumoSimulator(config, frames={name: array[index : index + 1] for name, array in frames.items()})

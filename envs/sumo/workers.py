@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from izoo.emissions.weights import load_weights
 from izoo.envs.backend import CLOSED, Play, clear_ended, scene_from_frame
 from izoo.envs.config import MAX_WORKERS, EnvConfig
 from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
@@ -68,7 +67,7 @@ class SumoWorkers:
             worker.close()
             worker = None
         if worker is None:
-            setup = (self.config, index, self.num_workers, load_weights())
+            setup = (self.config, index, self.num_workers)
             worker = self._workers[index] = Worker(self._memory, setup, self.config.watchdog_s)
         return worker
 

@@ -54,7 +54,7 @@ class TwinBackend:
         num_envs: ``N``.
         threads: how many threads share the environments out among them, this one included.
         surrogate: what computes CO2: ``torch``, the module in one call for all vehicles; ``cuda``, the same on a GPU;
-            or ``compiled``.
+            or ``compiled``, as SUMO's environments have it.
 
     Attributes:
         frames: the arrays ``[N, ...]`` that this backend writes.
@@ -64,7 +64,7 @@ class TwinBackend:
 
     played: Callable[[slice], None] | None = None
 
-    def __init__(self, config: EnvConfig, num_envs: int, threads: int = 1, surrogate: str = "torch") -> None:
+    def __init__(self, config: EnvConfig, num_envs: int, threads: int = 1, surrogate: str = "compiled") -> None:
         check_whole("num_envs", num_envs, 1, 65536)
         check_whole("threads", threads, 1, 1024)
         check_choice("surrogate", surrogate, SURROGATES)
@@ -180,21 +180,6 @@ class TwinBackend:
         """Return the state of every environment as compressed bytes, uint8."""
         with ThreadPoolExecutor(self.threads) as pool:
             return list(pool.map(TwinRun.pack, (self._run(index) for index in range(self.num_envs))))
-
-    def check_states(self, plays: Mapping[int, Play], packed: Sequence[np.ndarray]) -> None:
-        """Raise :class:`IzooError` where states do not fit the episodes; all environments stay as they are."""
-        frames = map_frames(bytearray(frame_bytes(self.config, 1)), self.config, 1)
-        desk = Desk()
-        self.forget_ahead()  # an episode of the same number need not be the same one
-        try:
-            for index, play in plays.items():
-                # Prepared ahead, each will be there when it is begun.
-                self.expect(index, play.number, fixed(play))
-                prepared = self._ahead[index][1].result()
-                TwinRun(self.config, row_of(frames, 0), self._weights, prepared, desk).unzip(packed[index])
-        except IzooError:
-            self.forget_ahead()
-            raise
 
     def unpack(self, plays: Mapping[int, Play], packed: Sequence[np.ndarray]) -> None:
         """Go on from the states of all environments, which play ``plays``."""
@@ -358,9 +343,3 @@ def _use_one_torch_thread() -> None:
 def _close(pool: ThreadPool, preparers: Preparers) -> None:
     preparers.close()
     pool.close()
-
-
-def single(config: EnvConfig) -> tuple[dict[str, np.ndarray], TwinBackend]:
-    """Return the frames and the backend of one environment, with the surrogate that SUMO's environments have."""
-    backend = TwinBackend(config, 1, surrogate="compiled")
-    return backend.frames, backend

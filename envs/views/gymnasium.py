@@ -4,7 +4,7 @@
 :class:`EcoDrivingEgo`; the module before the colon is imported first (Gymnasium has no plug-ins since 1.0). They
 simulate the same as :class:`~izoo.envs.EcoDrivingEnv`: the same context, seed and actions give the same trajectories.
 Each SUMO simulation has a process of its own, so that there can be any number of them; ``gymnasium.make_vec`` steps
-them in parallel.
+them in parallel (``AsyncVectorEnv``).
 
 As in Gymnasium, ``reset(seed=s)`` begins the first episode of base seed ``s``, and ``reset()`` the next one; before any
 seed, the base seed is random. ``reset(options=...)`` takes those of :data:`izoo.envs.views.view_session.OPTIONS`.
@@ -19,13 +19,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import AsyncVectorEnv
 
-from izoo.envs.config import STEP, EnvConfig
-from izoo.envs.mdp.frame import observation_names
+from izoo.envs.config import MAX_WORKERS, STEP, EnvConfig
 from izoo.envs.views.commands import Commands, action_space, read_action
-from izoo.envs.views.vector import ViewVector
-from izoo.envs.views.view_session import RENDER_MODES, ViewSession, render_modes
-from izoo.errors import IzooError
+from izoo.envs.views.view_session import RENDER_MODES, View, ViewSession
+from izoo.errors import IzooError, check_whole
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -39,7 +38,7 @@ WARN_AFTER = 20
 """Consecutive simulations without an ego after which a warning is given."""
 
 
-class _View(gym.Env[Observation, Any]):
+class _View(View, gym.Env[Observation, Any]):
     """Base of both views.
 
     Args:
@@ -62,21 +61,7 @@ class _View(gym.Env[Observation, Any]):
         simulator: str = "sumo",
     ) -> None:
         seed = int(np.random.SeedSequence().generate_state(1)[0])
-        self.session = ViewSession(contexts, config, seed, render_mode, in_process, simulator)
-        self.config, self.render_mode = self.session.config, render_mode
-        # Gymnasium reads all modes from the class, and checkers read the available ones from the instance.
-        self.metadata = {"render_modes": render_modes(), "render_fps": self.session.fps}
-        self.observation_names = observation_names(self.config)
-
-    def render(self) -> np.ndarray | None:  # type: ignore[override]
-        """Return a picture ``[640, 640, 3]`` uint8 with ``rgb_array``; ``None`` otherwise."""
-        if self.render_mode is None:
-            gym.logger.warn("render() needs a render mode; give gymnasium.make(..., render_mode='rgb_array').")
-        return self.session.render() if self.render_mode == "rgb_array" else None
-
-    def close(self) -> None:
-        """End the simulation."""
-        self.session.close()
+        self._open(ViewSession(contexts, config, seed, render_mode, in_process, simulator))
 
 
 class EcoDrivingJoint(_View[dict[str, np.ndarray]]):
@@ -278,11 +263,17 @@ class EcoDrivingEgo(_View[np.ndarray]):
         return commands
 
 
-def joint_vector(num_envs: int = 1, **options: Any) -> ViewVector:
+def joint_vector(num_envs: int = 1, **options: Any) -> AsyncVectorEnv:
     """What ``gymnasium.make_vec("izoo.envs:izoo/EcoDriving-v0", num_envs)`` makes without a vectorization mode."""
-    return ViewVector(functools.partial(EcoDrivingJoint, **options), num_envs)
+    return _vector(EcoDrivingJoint, num_envs, options)
 
 
-def ego_vector(num_envs: int = 1, **options: Any) -> ViewVector:
+def ego_vector(num_envs: int = 1, **options: Any) -> AsyncVectorEnv:
     """What ``gymnasium.make_vec("izoo.envs:izoo/EcoDrivingEgo-v0", num_envs)`` makes without a vectorization mode."""
-    return ViewVector(functools.partial(EcoDrivingEgo, **options), num_envs)
+    return _vector(EcoDrivingEgo, num_envs, options)
+
+
+def _vector(view: type[_View[Any]], num_envs: int, options: dict[str, Any]) -> AsyncVectorEnv:
+    """Return views in processes of their own, which simulate there."""
+    check_whole("num_envs", num_envs, 1, MAX_WORKERS)
+    return AsyncVectorEnv([functools.partial(view, **{**options, "in_process": True})] * num_envs)

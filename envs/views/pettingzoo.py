@@ -15,10 +15,9 @@ from gymnasium import spaces
 
 from izoo.envs.config import STEP, EnvConfig
 from izoo.envs.mdp.columns import VEHICLE_FLAGS, VEHICLE_FLOATS, VEHICLE_INTS
-from izoo.envs.mdp.frame import observation_names
 from izoo.envs.views.commands import Commands, action_space, read_action
 from izoo.envs.views.controlled_vehicles import first_with_cvs
-from izoo.envs.views.view_session import OPTIONS, ViewSession, render_modes
+from izoo.envs.views.view_session import OPTIONS, View, ViewSession
 from izoo.errors import IzooError, check_whole, unknown_choice
 
 try:
@@ -34,7 +33,7 @@ VEHICLE_COLUMNS = (*VEHICLE_FLOATS, *VEHICLE_INTS, *VEHICLE_FLAGS)
 """Columns of a vehicle's row in :meth:`EcoDrivingParallel.state`; a row whose ``present`` is 0 is empty."""
 
 
-class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
+class EcoDrivingParallel(View, ParallelEnv):  # type: ignore[misc]
     """One intersection whose agents appear and leave, under PettingZoo's parallel API.
 
     - Agents are named ``cv_<number>`` by the vehicle's number in the episode's demand, so a vehicle has the same name
@@ -78,10 +77,7 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         simulator: str = "sumo",
     ) -> None:
         check_whole("max_vehicles", max_vehicles, 1, 10**6)
-        self.session = ViewSession(contexts, config, seed, render_mode, in_process, simulator)
-        self.config, self.render_mode = self.session.config, render_mode
-        self.metadata = {**type(self).metadata, "render_modes": render_modes(), "render_fps": self.session.fps}
-        self.observation_names = observation_names(self.config)
+        self._open(ViewSession(contexts, config, seed, render_mode, in_process, simulator))
         self.possible_agents = [f"cv_{number}" for number in range(max_vehicles)]
         self.agents: list[str] = []
         self._slot: dict[str, int] = {}
@@ -208,16 +204,6 @@ class EcoDrivingParallel(ParallelEnv):  # type: ignore[misc]
         if self.session.context is None or not self.session.over:
             raise IzooError("metrics() needs an episode that has ended; step until `agents` is empty.")
         return self.session.metrics()
-
-    def render(self) -> np.ndarray | None:
-        """Return a picture ``[640, 640, 3]`` uint8 with ``rgb_array``; ``None`` otherwise."""
-        if self.render_mode is None:
-            warnings.warn("render() needs a render mode; give parallel_env(render_mode='rgb_array').", stacklevel=2)
-        return self.session.render() if self.render_mode == "rgb_array" else None
-
-    def close(self) -> None:
-        """End the simulation."""
-        self.session.close()
 
     def _commands(self, actions: Mapping[str, Any]) -> Commands:
         """Return the commands of the agents' actions."""

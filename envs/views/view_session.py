@@ -6,6 +6,7 @@ Only NumPy is needed here, so that processes that step such a view stay small.
 from __future__ import annotations
 
 import dataclasses
+import warnings
 import weakref
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ from izoo.envs import simulator_of
 from izoo.envs.backend import Backend, Play
 from izoo.envs.config import KEEP_LANE, STEP, EnvConfig, checked_config
 from izoo.envs.mdp.columns import VEHICLE_INTS
-from izoo.envs.mdp.frame import row_of
+from izoo.envs.mdp.frame import observation_names, row_of
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRIC, EPISODE_METRICS
 from izoo.envs.render import draw
 from izoo.envs.sumo.session import has_screen
@@ -27,7 +28,6 @@ from izoo.envs.sumo.workers import SumoWorkers
 from izoo.envs.views.commands import Commands
 from izoo.envs.views.controlled_vehicles import EPISODES_SEARCHED, first_with_cvs
 from izoo.errors import IzooError, check_choice, check_seed, unknown_choice
-from izoo.imports import imported
 
 if TYPE_CHECKING:
     from izoo.envs.env import Contexts
@@ -86,16 +86,11 @@ class ViewSession:
         self._make_backend()
 
     def _make_backend(self) -> None:
-        backend: Backend
         chosen = simulator_of(self._simulator)
-        if self._in_process or chosen.batched:
-            frames, backend = imported("simulator", chosen.single)(self.config)
-        else:
-            backend = workers = SumoWorkers(self.config, 1, poll=False)
-            frames = workers.frames
-        self.frame = row_of(frames, 0)
-        self._backend = backend
-        self._finalizer = weakref.finalize(self, backend.close)
+        here = self._in_process or chosen.batched
+        self._backend: Backend = chosen.make_backend(self.config) if here else SumoWorkers(self.config, 1, poll=False)
+        self.frame = row_of(self._backend.frames, 0)
+        self._finalizer = weakref.finalize(self, self._backend.close)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what makes an equal session; only one that has not begun can be copied.
@@ -242,6 +237,30 @@ class ViewSession:
         return draw(self._backend.scene(), span_m=span_m, size_px=size_px)
 
 
-def render_modes() -> list[str]:
-    """Return the render modes that are available on this machine."""
-    return list(RENDER_MODES) if has_screen() else ["rgb_array"]
+class View:
+    """What views of all kinds have: a session, and pictures of it.
+
+    Attributes:
+        session: the simulation.
+        config: settings of the environment.
+        observation_names: names of the columns of an observation.
+    """
+
+    metadata: dict[str, Any]
+
+    def _open(self, session: ViewSession) -> None:
+        """Take up a session; the metadata of the class name all render modes, those of a view the available ones."""
+        self.session, self.config, self.render_mode = session, session.config, session.render_mode
+        modes = list(RENDER_MODES) if has_screen() else ["rgb_array"]
+        self.metadata = {**type(self).metadata, "render_modes": modes, "render_fps": session.fps}
+        self.observation_names = observation_names(session.config)
+
+    def render(self) -> np.ndarray | None:
+        """Return a picture ``[640, 640, 3]`` uint8 with ``rgb_array``; ``None`` otherwise."""
+        if self.render_mode is None:
+            warnings.warn("render() needs a render mode; give render_mode='rgb_array'.", stacklevel=2)
+        return self.session.render() if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """End the simulation."""
+        self.session.close()

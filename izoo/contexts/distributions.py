@@ -1,4 +1,4 @@
-"""Distributions over context features: fixed, list, uniform, weighted; their product; and boxes cut out of it.
+"""Distributions over context features: lists, weighted or not, and intervals; their product; and boxes cut out of it.
 
 Randomness is always a :class:`numpy.random.Generator` that the caller passes in. Finite products enumerate in a stable
 order (the last feature varies fastest) and have a length.
@@ -22,22 +22,6 @@ Key: TypeAlias = str | tuple[str, ...]
 MAX_REJECTIONS = 100_000
 MAX_ENUMERATION = 10_000_000
 PROBABILITY_TOLERANCE = 1e-6
-
-
-@dataclass(frozen=True)
-class Fixed:
-    """Always ``value``."""
-
-    value: Any
-
-    @property
-    def support(self) -> tuple[Any, ...]:
-        """The single value."""
-        return (self.value,)
-
-    def sample(self, generator: np.random.Generator) -> Any:
-        """Return the value; the generator is left alone."""
-        return self.value
 
 
 @dataclass(frozen=True)
@@ -99,14 +83,14 @@ class Uniform:
         return self.low + (self.high - self.low) * float(generator.random())
 
 
-Distribution: TypeAlias = Fixed | Choice | Uniform
+Distribution: TypeAlias = Choice | Uniform
 
 
 def as_distribution(value: Any) -> Distribution:
-    """Read a feature's setting: a distribution as it is, a list as :class:`Choice`, anything else as :class:`Fixed`."""
+    """Read a feature's setting: a distribution as it is, a list or a single value as a :class:`Choice`."""
     if isinstance(value, Distribution):
         return value
-    return Choice(tuple(value)) if isinstance(value, list) else Fixed(value)
+    return Choice(tuple(value) if isinstance(value, list) else (value,))
 
 
 @dataclass(frozen=True)

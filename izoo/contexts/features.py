@@ -89,8 +89,3 @@ def check_observed(names: Iterable[str]) -> tuple[str, ...]:
     if len(set(chosen)) != len(chosen):
         raise IzooError(f"observed features {chosen} name one twice; name each once.")
     return tuple(name for name in OBSERVED if name in chosen)
-
-
-def scales(names: Iterable[str]) -> tuple[float, ...]:
-    """Return the divisor of each named observed feature."""
-    return tuple(BY_NAME[name].scale for name in check_observed(names))

@@ -163,17 +163,6 @@ class CurriculumSchedule:
         return self.choose(episode, np.random.default_rng([seed, 1])), seed
 
 
-def _not_contexts(value: object) -> IzooError:
-    """Return the error for a value that is none of the forms that contexts come in."""
-    kind = type(value).__name__
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        kind += f" of {type(value[0]).__name__}"
-    return IzooError(
-        f"contexts is a {kind}; give a Context, a sequence of them, a source with "
-        "sample(generator), or a schedule that maps an episode number to (context, seed)."
-    )
-
-
 def as_schedule(contexts: Context | Sequence[Context] | ContextSource | Schedule, seed: int) -> Schedule:
     """Return the schedule that ``contexts`` stands for.
 
@@ -189,7 +178,16 @@ def as_schedule(contexts: Context | Sequence[Context] | ContextSource | Schedule
         return RandomSchedule(ContextList(contexts), seed)
     if callable(contexts):
         return contexts
-    raise _not_contexts(contexts)
+    raise IzooError(
+        f"contexts is a {type(contexts).__name__}"
+        + (
+            f" of {type(contexts[0]).__name__}"
+            if isinstance(contexts, Sequence) and not isinstance(contexts, str)
+            else ""
+        )
+        + "; give a Context, a sequence of them, a source with sample(generator), or a schedule that maps an episode "
+        "number to (context, seed)."
+    )
 
 
 def reseed(schedule: Schedule, seed: int) -> Schedule:

@@ -26,9 +26,7 @@ CLASSES: tuple[tuple[int, int, int], ...] = tuple(
 )
 """The 99 triples ``(model_year, source_type, fuel)`` in ascending order; a class is its place in this table."""
 
-_INDEX = np.full((len(MODEL_YEARS), max(SOURCE_TYPES) + 1, max(FUELS) + 1), -1, dtype=np.int64)
-for _row, (_year, _source_type, _fuel) in enumerate(CLASSES):
-    _INDEX[_year - MODEL_YEARS[0], _source_type, _fuel] = _row
+_INDEX = {triple: row for row, triple in enumerate(CLASSES)}
 
 
 def moves_class_index(model_year: ArrayLike, source_type: ArrayLike, fuel: ArrayLike) -> Any:
@@ -42,21 +40,15 @@ def moves_class_index(model_year: ArrayLike, source_type: ArrayLike, fuel: Array
     Raises:
         IzooError: there is no surrogate for one of the combinations.
     """
-    year, source, fuel = np.broadcast_arrays(np.asarray(model_year), np.asarray(source_type), np.asarray(fuel))
-    row = year - MODEL_YEARS[0]
-    inside = (row >= 0) & (row < _INDEX.shape[0])
-    inside &= (source >= 0) & (source < _INDEX.shape[1]) & (fuel >= 0) & (fuel < _INDEX.shape[2])
-    index = np.where(
-        inside, _INDEX[np.where(inside, row, 0), np.where(inside, source, 0), np.where(inside, fuel, 0)], -1
-    )
-    if (index < 0).any():
-        first = tuple(np.argwhere(index < 0)[0])
+    try:
+        return np.vectorize(lambda *triple: _INDEX[triple], otypes=[np.int64])(model_year, source_type, fuel)[()]
+    except KeyError as error:
+        year, source, burnt = error.args[0]
         raise IzooError(
-            f"no MOVES surrogate for model year {year[first]}, source type {source[first]}, fuel {fuel[first]}; "
-            f"model years are {MODEL_YEARS[0]} to {MODEL_YEARS[-1]}, source types {SOURCE_TYPES}, fuels {FUELS} "
-            "(no diesel motorcycles)."
-        )
-    return index[()]
+            f"no MOVES surrogate for model year {year}, source type {source}, fuel {burnt}; model years are "
+            f"{MODEL_YEARS[0]} to {MODEL_YEARS[-1]}, source types {SOURCE_TYPES}, fuels {FUELS} (no diesel "
+            "motorcycles)."
+        ) from None
 
 
 DATA = Path(__file__).parent / "data"

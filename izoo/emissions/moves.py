@@ -64,7 +64,7 @@ class MovesSurrogate(nn.Module):
             electric: bool, where the vehicle burns no fuel; default nowhere.
 
         Raises:
-            IzooError: a vehicle that counts has a class outside the table (not checked in compiled code).
+            IzooError: a vehicle that counts has a class outside the table.
         """
         inputs = [
             torch.as_tensor(value, dtype=torch.float32, device=self.w1.device)
@@ -77,32 +77,22 @@ class MovesSurrogate(nn.Module):
         classes = moves_class.expand(shape).reshape(-1)
         burning = _burning(mask, electric)
         if burning is None:
-            return self._checked_rates(features, classes).reshape(shape)
+            return self._rates(features, classes).reshape(shape)
         burning = burning.expand(shape).reshape(-1)
-        if torch.compiler.is_compiling():
-            # Data-dependent shapes would split the graph: empty entries are computed as if they were class 0 at rest.
-            features = torch.where(burning[:, None], features, 0.0)
-            rates = self._tiled_rates(features, torch.where(burning, classes, 0))
-            return torch.where(burning, rates, 0.0).reshape(shape)
         rows = burning.nonzero()[:, 0]
-        rates = self._checked_rates(features.index_select(0, rows), classes.index_select(0, rows))
+        rates = self._rates(features.index_select(0, rows), classes.index_select(0, rows))
         return torch.zeros(len(classes), device=rates.device).index_put((rows,), rates).reshape(shape)
 
-    def _checked_rates(self, features: Tensor, classes: Tensor) -> Tensor:
+    def _rates(self, features: Tensor, classes: Tensor) -> Tensor:
         """Return g/s ``[N]`` of ``features [N, 5]`` and ``classes [N]``, whose range is checked."""
-        if not torch.compiler.is_compiling():
-            if len(classes) == 0:
-                return features.new_zeros(0)
-            low, high = (int(bound) for bound in torch.aminmax(classes))
-            if low < 0 or high >= len(CLASSES):
-                raise IzooError(
-                    f"MOVES classes of vehicles run from {low} to {high}; they must lie in [0, {len(CLASSES) - 1}]: "
-                    "use moves_class_index, and mask empty slots."
-                )
-        return self._tiled_rates(features, classes)
-
-    def _tiled_rates(self, features: Tensor, classes: Tensor) -> Tensor:
-        """Return g/s ``[N]``; ``classes`` are inside the table."""
+        if len(classes) == 0:
+            return features.new_zeros(0)
+        low, high = (int(bound) for bound in torch.aminmax(classes))
+        if low < 0 or high >= len(CLASSES):
+            raise IzooError(
+                f"MOVES classes of vehicles run from {low} to {high}; they must lie in [0, {len(CLASSES) - 1}]: "
+                "use moves_class_index, and mask empty slots."
+            )
         count, tile = len(classes), tile_rows(len(classes))
         ordered, order = torch.sort(classes)
         table = torch.arange(len(CLASSES), device=classes.device)
@@ -110,10 +100,8 @@ class MovesSurrogate(nn.Module):
         members = torch.searchsorted(ordered, table, right=True) - begin
         tiles = (members + tile - 1) // tile
         tiles_end = tiles.cumsum(0)
-        # The exact number of tiles would be a data-dependent shape, so compiled code takes its upper bound.
-        total = count // tile + len(CLASSES) if torch.compiler.is_compiling() else int(tiles_end[-1])
-        place = torch.arange(total, device=classes.device)
-        tile_class = torch.searchsorted(tiles_end, place, right=True).clamp_max(len(CLASSES) - 1)
+        total = int(tiles_end[-1])
+        tile_class = torch.searchsorted(tiles_end, torch.arange(total, device=classes.device), right=True)
         shift = (tiles_end - tiles) * tile - begin
         slot = torch.arange(count, device=classes.device) + shift.index_select(0, ordered)
         padded = features.new_zeros(total * tile, INPUTS).index_copy(0, slot, features.index_select(0, order))
@@ -130,7 +118,7 @@ class MovesSurrogate(nn.Module):
         """
         rows = _CPU_CHUNK_ROWS if tiled.device.type == "cpu" else _DEVICE_CHUNK_ROWS
         # In chunks that stay in the processor's cache.
-        step = len(tiled) if torch.compiler.is_compiling() else max(1, rows // tiled.shape[1])
+        step = max(1, rows // tiled.shape[1])
         parts = []
         for start in range(0, len(tiled), step):
             chosen = tile_class[start : start + step]

@@ -214,7 +214,7 @@ class NetReader:
             lane_count=np.array([len(self.edges[edges[-1]]) for edges in self.incoming]),
             lane_length_m=np.array([-self.rows[self.lanes[lanes[0].get("id")]]["lane_offset_m"] for lanes in first]),
             speed_limit_mps=np.array([float(lanes[0].get("speed")) for lanes in first]),
-            grade=np.array([self._grade(lanes[0]) for lanes in first]),
+            grade=np.array([_grade(lane_shape(lanes[0])) for lanes in first]),
             movement_turn=turn,
             movement_links=links,
             clock=read_clock(self.root, self.signal_links(), self.path),
@@ -362,14 +362,17 @@ class NetReader:
         start, begin_m, grade_pct = np.array(starts, np.int32), np.concatenate(begins), np.concatenate(grades)
         return {"segment_start": start, "segment_from_m": begin_m, "segment_grade_pct": grade_pct}
 
-    @staticmethod
-    def _grade(lane: Any) -> float:
-        shape = lane_shape(lane)
-        run = float(np.linalg.norm(np.diff(shape[:, :2], axis=0), axis=1).sum())
-        return float((shape[-1, 2] - shape[0, 2]) / max(run, 1e-9))
-
 
 def lane_shape(lane: Any) -> np.ndarray:
     """Geometry ``[n, 3]`` of a ``<lane>`` element in m; a missing height counts as 0."""
     points = [[float(value) for value in point.split(",")] for point in lane.get("shape").split()]
     return np.array([point if len(point) == 3 else [*point, 0.0] for point in points])
+
+
+def run_m(points: np.ndarray) -> float:
+    """Length in the plane of a line ``[n, 2 or 3]``."""
+    return float(np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1).sum())
+
+
+def _grade(shape: np.ndarray) -> float:
+    return float((shape[-1, 2] - shape[0, 2]) / max(run_m(shape), 1e-9))

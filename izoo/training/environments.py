@@ -22,7 +22,6 @@ from izoo.envs import simulator_of
 from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv
 from izoo.envs.mdp.frame import TOTALS
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
-from izoo.imports import imported
 from izoo.training import command_replay
 from izoo.training.prioritized_level_replay import PrioritizedLevelReplay
 
@@ -149,7 +148,7 @@ class TrainingBatchEnv(_Training):
 def training_class(simulator: str) -> Any:
     """Return the class of a simulator's environments side by side, with what training needs."""
     chosen = simulator_of(simulator)
-    several = imported("simulator", chosen.several)
+    several = chosen.environments()
     return type(f"Training{several.__name__}", (TrainingBatchEnv if chosen.batched else _Training, several), {})
 
 

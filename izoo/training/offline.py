@@ -117,7 +117,7 @@ def _make_collector(config: CollectConfig, policy: Policy, schedule: RandomSched
 def make_policy(config: CollectConfig) -> Policy:
     """Return the policy that ``config.policy`` names: a driver, one that ships, one's own, or a run's."""
     if config.policy == "random":
-        return RandomDriver(seed=config.seed, config=config.env)
+        return RandomDriver(config.env)
     if zoo.named(config.policy) or not expanded(config.policy).exists():
         policy = as_policy(config.policy, config.env).policy
         return policy.eval() if isinstance(policy, nn.Module) else policy

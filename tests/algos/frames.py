@@ -1,6 +1,6 @@
-"""Small batches for algorithms whose networks look at whole frames."""
+"""Small batches and observations, and what tests of several algorithms do with them."""
 
-from __future__ import annotations
+from typing import Any
 
 import torch
 from tensordict import TensorDict
@@ -8,6 +8,10 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from izoo.algos.actions.action_modes import ActionSpace
 from izoo.algos.learners.set_ppo import SetPPO
+from izoo.contexts.features import feature
+from izoo.envs.config import EnvConfig
+from izoo.envs.mdp.frame import observation_names
+from izoo.envs.mdp.observation import DISTANCE_SCALE_M, SPEED_SCALE_MPS, TIME_SCALE_S
 
 LOW, HIGH, FEATURES = -4.5, 2.6, 5
 SPACE = ActionSpace(LOW, HIGH)
@@ -51,11 +55,50 @@ def make_frames(n: int = 2, t: int = 6, a: int = 4, seed: int = 0) -> TensorDict
     return TensorDict({"agents": agents, "next": TensorDict({"agents": TensorDict(successor, shape)}, [n, t])}, [n, t])
 
 
-def act(algorithm: SetPPO, batch: TensorDict, seed: int = 1) -> TensorDict:
-    """Let the collection policy act on every frame of a copy of ``batch``."""
+def act(algorithm: Any, batch: TensorDict, seed: int = 1, kind: ExplorationType = ExplorationType.RANDOM) -> TensorDict:
+    """Let the policy act on every frame of a copy of ``batch``."""
     torch.manual_seed(seed)
-    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+    with torch.no_grad(), set_exploration_type(kind):
         return algorithm.policy(batch.clone())
+
+
+def shake(module: torch.nn.Module, spread: float = 0.3, seed: int = 5) -> None:
+    """Move the parameters of ``module``, so that they differ from those it began with."""
+    with torch.no_grad():
+        for parameter in module.parameters():
+            parameter.add_(spread * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(seed)))
+
+
+def with_noise(batch: TensorDict, noise: float) -> TensorDict:
+    """A copy of ``batch`` with ``noise`` in everything that empty slots hold."""
+    noisy = batch.clone()
+    for group in (noisy["agents"], noisy["next", "agents"]):
+        for key in set(group.keys()) & {"observation", "action", "loc", "scale", "action_log_prob"}:
+            group[key][~group["mask"]] = noise
+    noisy["next", "agents", "reward"][~noisy["agents", "mask"]] = noise
+    return noisy
+
+
+def reordered(batch: TensorDict) -> TensorDict:
+    """The agents of ``batch`` in another order, behind three empty slots."""
+    wide, order = TensorDict(batch_size=batch.batch_size), torch.tensor([2, 3, 0, 1])
+    for place in ("agents", ("next", "agents")):
+        wide[place] = torch.cat([torch.zeros_like(batch[place][..., :3]), batch[place][..., order]], -1)
+    return wide
+
+
+def observed(config: EnvConfig, **values: float) -> torch.Tensor:
+    """An observation ``[F]`` of ``values`` in SI units, 0 elsewhere."""
+    names = observation_names(config)
+    row = torch.zeros(len(names))
+    for name, value in values.items():
+        scale = feature(name.removeprefix("context_")).scale if name.startswith("context_") else 1.0
+        if name in ("signal_time_left", "signal_second_green", "signal_third_green"):
+            scale = TIME_SCALE_S
+        for ending, unit in (("speed", SPEED_SCALE_MPS), ("distance", DISTANCE_SCALE_M)):
+            scale = unit if name.endswith(ending) else scale
+        row[names.index(name)] = value / scale
+    return row
 
 
 def alone(algorithm: SetPPO, observation: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:

@@ -1,7 +1,5 @@
 """Advice and corrections: what is stored, what is learned from, and what they stand for."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest
@@ -24,15 +22,15 @@ from izoo.algos.learners import base
 from izoo.algos.learners.registry import ALGORITHMS, make_algorithm
 from izoo.cli.compose import compose_config
 from izoo.conf.train_options import TrainConfig
-from izoo.contexts.features import feature
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
-from izoo.envs.mdp.observation import DISTANCE_SCALE_M, FAR_M, SPEED_SCALE_MPS, TIME_SCALE_S
+from izoo.envs.mdp.observation import FAR_M
 from izoo.errors import IzooError
+from tests.algos.frames import act, observed
 
 ENV = EnvConfig()
 NAMES = observation_names(ENV)
-SCALES = {"speed": SPEED_SCALE_MPS, "distance": DISTANCE_SCALE_M}
+RED = {"signal_green": 0.0, "signal_red": 1.0, "signal_time_left": 30.0}
 
 ONE_POLICY = sorted(set(ALGORITHMS) - {"cmaes", "glide_search"})
 """Algorithms that explore by the actions of one policy; the others compare several."""
@@ -40,21 +38,10 @@ ONE_POLICY = sorted(set(ALGORITHMS) - {"cmaes", "glide_search"})
 
 def observe(**values: float) -> torch.Tensor:
     """An observation in SI units: a CV at 10 m/s, 100 m before a green light, on a free road, limit 15 m/s."""
-    seen = {
-        "speed": 10.0 / SPEED_SCALE_MPS,
-        "stop_line_distance": -100.0 / DISTANCE_SCALE_M,
-        "location_approaching": 1.0,
-        "signal_green": 1.0,
-        "signal_time_left": 20.0 / TIME_SCALE_S,
-        "signal_second_green": 60.0 / TIME_SCALE_S,
-        "signal_third_green": 120.0 / TIME_SCALE_S,
-        "leader_distance": FAR_M / DISTANCE_SCALE_M,
-        "context_green_s": 30.0 / feature("green_s").scale,
-        "context_red_s": 30.0 / feature("red_s").scale,
-        "context_speed_limit_mps": 15.0 / feature("speed_limit_mps").scale,
-        **values,
-    }
-    return torch.tensor([seen.get(name, 0.0) for name in NAMES])
+    seen = {"speed": 10.0, "stop_line_distance": -100.0, "location_approaching": 1.0, "leader_distance": FAR_M}
+    seen |= {"signal_green": 1.0, "signal_time_left": 20.0, "signal_second_green": 60.0, "signal_third_green": 120.0}
+    seen |= {"context_green_s": 30.0, "context_red_s": 30.0, "context_speed_limit_mps": 15.0}
+    return observed(ENV, **(seen | values))
 
 
 def nominal(**values: float) -> float:
@@ -86,29 +73,22 @@ def make_batch(n: int = 2, t: int = 5, a: int = 3) -> TensorDict:
     return TensorDict({"agents": TensorDict(agents, shape), "next": following}, [n, t])
 
 
-def act(algorithm: base.Algorithm, batch: TensorDict, kind: ExplorationType = ExplorationType.RANDOM) -> TensorDict:
-    torch.manual_seed(1)
-    with torch.no_grad(), set_exploration_type(kind):
-        return algorithm.policy(batch.clone())
-
-
 def test_nominal_is_glide_where_glide_commands() -> None:
     # Red for 30 s more, 100 m ahead: 2 s of start lag make it 32 s, so glide asks for its floor speed of 4 m/s.
-    red = {"signal_green": 0.0, "signal_red": 1.0, "signal_time_left": 30.0 / TIME_SCALE_S}
     driver = NominalDriver(ENV)
-    observation, mask = observe(**red).reshape(1, 1, -1), torch.ones(1, 1, dtype=torch.bool)
+    observation, mask = observe(**RED).reshape(1, 1, -1), torch.ones(1, 1, dtype=torch.bool)
     advised, idle = driver.glide.drive(observation, mask)
     assert not idle.any()
     accel, estimated = driver(observation, mask)
     torch.testing.assert_close(accel, advised)
     assert not estimated.any()
-    assert nominal(**red) < -0.5
+    assert nominal(**RED) < -0.5
 
 
 def test_nominal_is_the_car_following_model_elsewhere() -> None:
     assert nominal() == pytest.approx(2.6 * (1 - (10 / 15) ** 4), abs=1e-4)
-    assert nominal(speed=15.0 / SPEED_SCALE_MPS) == pytest.approx(0.0, abs=1e-4)
-    behind = {"leader_present": 1.0, "leader_distance": 14.0 / DISTANCE_SCALE_M, "leader_speed": 8.0 / SPEED_SCALE_MPS}
+    assert nominal(speed=15.0) == pytest.approx(0.0, abs=1e-4)
+    behind = {"leader_present": 1.0, "leader_distance": 14.0, "leader_speed": 8.0}
     desired = 2.0 + 10.0 * 1.0 + 10.0 * 2.0 / (2 * (2.6 * 4.5) ** 0.5)
     expected = 2.6 * (1 - (10 / 15) ** 4 - (desired / 14.0) ** 2)
     assert nominal(**behind) == pytest.approx(max(expected, -4.5), abs=1e-3)
@@ -116,9 +96,8 @@ def test_nominal_is_the_car_following_model_elsewhere() -> None:
 
 
 def test_a_red_light_ahead_holds_but_not_in_the_last_metres() -> None:
-    driver = NominalDriver(ENV)
-    red = {"signal_green": 0.0, "signal_red": 1.0, "signal_time_left": 5.0 / TIME_SCALE_S}
-    far, near = (driver.follow(observe(**red, stop_line_distance=-d / DISTANCE_SCALE_M)) for d in (40.0, 10.0))
+    red = RED | {"signal_time_left": 5.0}
+    far, near = (NominalDriver(ENV).follow(observe(**red, stop_line_distance=-d)) for d in (40.0, 10.0))
     desired = 10.0 * 1.0 + 10.0 * 10.0 / (2 * (2.6 * 4.5) ** 0.5)
     assert float(far) == pytest.approx(2.6 * (1 - (10 / 15) ** 4 - (desired / 40.0) ** 2), abs=1e-3)
     assert float(near) > 0
@@ -150,11 +129,9 @@ def test_vehicles_that_glide_leaves_alone_can_only_be_held_back() -> None:
     acted = say(Correction(NominalDriver(ENV)), [-0.5, 0.0, 0.5])
     assert acted[DEFER].tolist() == [True, True, False]
     assert float(acted[base.ACTION][2]) == pytest.approx(nominal() - 0.5, abs=1e-5)
-
-    red = {"signal_green": 0.0, "signal_red": 1.0, "signal_time_left": 30.0 / TIME_SCALE_S}
-    acted = say(Correction(NominalDriver(ENV)), [-0.5, 0.0, 0.5], **red)
+    acted = say(Correction(NominalDriver(ENV)), [-0.5, 0.0, 0.5], **RED)
     assert not acted[DEFER].any() and acted[base.TWO_SIDED].all()
-    expected = torch.tensor([nominal(**red) + 0.5, nominal(**red), nominal(**red) - 0.5])
+    expected = nominal(**RED) + torch.tensor([0.5, 0.0, -0.5])
     torch.testing.assert_close(acted[base.ACTION].squeeze(-1), expected)
 
 
@@ -182,7 +159,7 @@ def test_a_quiet_band_is_taken_off_and_what_was_said_is_kept() -> None:
 def test_training_starts_from_doing_nothing(algo: str, action: str) -> None:
     """The untrained policy itself does nothing at all; exploring, it acts in the share of decisions that was asked."""
     algorithm, batch = make(algo, action=action), make_batch(t=400)
-    acted = act(algorithm, batch, ExplorationType.DETERMINISTIC)
+    acted = act(algorithm, batch, kind=ExplorationType.DETERMINISTIC)
     mask = batch[base.MASK]
     nominal, idle = NominalDriver(ENV)(batch[base.OBSERVATION], mask)
     if action == "advise":
@@ -194,15 +171,11 @@ def test_training_starts_from_doing_nothing(algo: str, action: str) -> None:
     explored = act(algorithm, batch)
     free = mask if action == "advise" else mask & idle
     if algo in ("ddpg", "td3"):  # each vehicle's noise must first have grown from 0, and one call is one step of it
-        for _ in range(30):
-            explored = act_on(algorithm, explored)
+        with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+            for _ in range(30):
+                explored = algorithm.policy(explored)
     share = float((~explored[DEFER][free]).float().mean())
     assert 0.04 < share < 0.11, "5 to 10 % of decisions act"
-
-
-def act_on(algorithm: base.Algorithm, batch: TensorDict) -> TensorDict:
-    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
-        return algorithm.policy(batch)
 
 
 @pytest.mark.parametrize("algo", ONE_POLICY)
@@ -232,7 +205,8 @@ def test_log_probabilities_are_those_of_the_advice(algo: str, action: str) -> No
 
 @pytest.mark.parametrize("algo", ONE_POLICY)
 def test_update_sees_the_advice_and_leaves_the_batch_alone(algo: str) -> None:
-    one, other = (make(algo, *_now(algo)) for _ in range(2))
+    now = ("algo.learning_starts=0", "algo.minibatch_rows=8") if algo in ("ddpg", "td3") else ()
+    one, other = (make(algo, *now) for _ in range(2))
     acted = act(one, make_batch())
     before = acted.clone()
     torch.manual_seed(5)
@@ -243,10 +217,6 @@ def test_update_sees_the_advice_and_leaves_the_batch_alone(algo: str) -> None:
     assert stats.pop("acting_share") == pytest.approx(float((~acted[DEFER][mask]).float().mean()))
     torch.manual_seed(5)
     assert other.learned.update(before.set(base.ACTION, before[RAW_ACTION]), 0.0) == pytest.approx(stats)
-
-
-def _now(algo: str) -> tuple[str, ...]:
-    return ("algo.learning_starts=0", "algo.minibatch_rows=8") if algo in ("ddpg", "td3") else ()
 
 
 def test_what_cannot_work_is_refused() -> None:

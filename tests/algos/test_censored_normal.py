@@ -1,7 +1,5 @@
 """The distribution of advice: its point mass, its density and its entropy, by hand and by counting."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """CMA-ES over linear policies: who plays what, what is learned, and that it goes on where it stopped."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +72,9 @@ def test_untrained_it_does_nothing_and_empty_slots_hold_nothing() -> None:
     assert not act(algorithm, BLOCK, ExplorationType.DETERMINISTIC)[base.ACTION].any()
     acted = act(algorithm, 8 * BLOCK)
     assert not acted[base.ACTION].squeeze(-1)[~acted[base.MASK]].any()
+    # Without a rest it begins at full throttle.
+    acted = act(CMAES(CMAESConfig(), FEATURES, ActionSpace(-4.5, 2.6)), BLOCK, ExplorationType.DETERMINISTIC)
+    assert float(acted[base.ACTION][acted[base.MASK]].min()) > 2.5
 
 
 def test_in_evaluation_mode_it_is_its_mean_for_any_number_of_environments() -> None:
@@ -82,13 +83,6 @@ def test_in_evaluation_mode_it_is_its_mean_for_any_number_of_environments() -> N
     explored = algorithm.policy.eval()(frames(BLOCK))
     algorithm.policy.train()
     assert torch.equal(explored[base.ACTION], act(algorithm, BLOCK, ExplorationType.DETERMINISTIC)[base.ACTION])
-
-
-def test_without_a_rest_it_begins_at_full_throttle() -> None:
-    torch.manual_seed(0)
-    algorithm = CMAES(CMAESConfig(), FEATURES, ActionSpace(-4.5, 2.6))
-    acted = act(algorithm, BLOCK, ExplorationType.DETERMINISTIC)
-    assert float(acted[base.ACTION][acted[base.MASK]].min()) > 2.5
 
 
 def test_it_finds_what_is_paid() -> None:
@@ -104,6 +98,7 @@ def test_it_finds_what_is_paid() -> None:
 
 def test_it_goes_on_exactly_where_it_stopped() -> None:
     one, other = make(), make(seed=1)
+    before = np.random.get_state()[1].tolist()  # noqa: NPY002
     for _ in range(5):
         one.update(generation(one), 0.0)
     assert not torch.equal(one.policy.candidates, other.policy.candidates)
@@ -112,13 +107,7 @@ def test_it_goes_on_exactly_where_it_stopped() -> None:
         assert torch.equal(one.policy.candidates, other.policy.candidates)
         one.update(generation(one), 0.0)
         other.update(generation(other), 0.0)
-
-
-def test_the_global_generator_of_numpy_is_left_alone() -> None:
-    before = np.random.get_state()[1].tolist()  # noqa: NPY002
-    algorithm = make()
-    algorithm.update(generation(algorithm), 0.0)
-    assert np.random.get_state()[1].tolist() == before  # noqa: NPY002
+    assert np.random.get_state()[1].tolist() == before, "the global generator is left alone"  # noqa: NPY002
 
 
 def test_what_cannot_be_compared_is_refused() -> None:
@@ -145,14 +134,8 @@ def test_all_blocks_play_the_same_episodes_and_each_only_once() -> None:
 def test_a_run_can_be_stopped_and_resumed_exactly(algo: str, tmp_path: Path) -> None:
     words = [*algo.split(), "algo.population=4", "num_envs=4", "simulator=twin", "twin.threads=1"]
     words += ["twin.surrogate=compiled", "twin.compare_every=0", "env.reward=fuel_team", "env.hold_s=2"]
-    words += [
-        "env.horizon_s=150",
-        "contexts=pcg_easy",
-        "contexts.inflow_vph_per_lane=600",
-        "validation.every_batches=0",
-        "evaluation.contexts=0",
-    ]
-    words += ["checkpoint.every_batches=1"]
+    words += ["env.horizon_s=150", "contexts=pcg_easy", "contexts.inflow_vph_per_lane=600"]
+    words += ["validation.every_batches=0", "evaluation.contexts=0", "checkpoint.every_batches=1"]
     whole, half = tmp_path / "whole", tmp_path / "half"
     decisions = EnvConfig(horizon_s=150.0, hold_s=2.0).decisions * 4
     assert train.main([*words, f"total_frames={4 * decisions}", f"run_dir={whole}"]) == 0

@@ -1,7 +1,5 @@
 """The control variate: what it takes from advantages no action decides, and with it gradients vary less."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict

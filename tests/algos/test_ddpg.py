@@ -1,7 +1,5 @@
 """DDPG: transitions, targets and losses against hand computations, and exploration."""
 
-from __future__ import annotations
-
 import copy
 
 import pytest
@@ -9,20 +7,10 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from izoo.algos.learners import base
+from izoo.algos.learners import base, replay
 from izoo.algos.learners.ddpg import DDPG, DDPGConfig
-from izoo.algos.learners.replay import (
-    ERROR,
-    NEXT_OBSERVATION,
-    NEXT_REWARD,
-    NEXT_TERMINATED,
-    STEPS,
-    TRANSITION,
-    PriorityDraws,
-    Replay,
-    transitions,
-)
-from tests.algos.frames import FEATURES, HIGH, LOW, SPACE, make_frames
+from izoo.algos.learners.replay import NEXT_OBSERVATION, NEXT_TERMINATED, transitions
+from tests.algos.frames import FEATURES, HIGH, LOW, SPACE, act, make_frames, shake
 
 SMALL = {"hidden": (8,), "minibatch_rows": 16, "replay_rows": 500, "learning_starts": 0, "rows_per_frame": None}
 
@@ -36,11 +24,6 @@ def make_batch(seed: int = 0, n: int = 2, t: int = 6) -> TensorDict:
     batch = make_frames(n=n, t=t, seed=seed)
     generator = torch.Generator().manual_seed(seed)
     return batch.set(base.ACTION, torch.rand(*batch[base.MASK].shape, 1, generator=generator) * (HIGH - LOW) + LOW)
-
-
-def explore(ddpg: DDPG, batch: TensorDict) -> torch.Tensor:
-    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
-        return ddpg.policy(batch)[base.ACTION]
 
 
 @pytest.mark.parametrize("n_step", [1, 3])
@@ -62,24 +45,8 @@ def test_transitions_equal_a_walk_down_the_slots(n_step: int) -> None:
         tail = [total, float(following["done"][last]), float(gone), float(steps)]
         row = torch.cat([agents["observation"][n, t, a], agents["action"][n, t, a], successor, torch.tensor(tail)])
         expected.append(row)
-    actual = torch.cat([rows[key].float() for key in TRANSITION], dim=-1)
+    actual = torch.cat([rows[key].float() for key in replay.TRANSITION], dim=-1)
     torch.testing.assert_close(actual, torch.stack(expected))
-
-
-def test_leavers_are_worth_nothing_and_truncated_ones_what_they_see() -> None:
-    ddpg, batch = make_ddpg(gamma=0.9, value_loss="l2"), make_batch()
-    rows = transitions(batch, 1.0, 1, 0.9)
-    target = ddpg.loss.value_estimator.value_estimate(rows, target_params=ddpg.loss._cached_target_params)
-    gone = rows[NEXT_TERMINATED].squeeze(-1)
-    truncated = rows[("next", *base.DONE)].squeeze(-1) & ~gone
-    assert gone.any() and truncated.any()
-    with torch.no_grad():
-        successor = rows[NEXT_OBSERVATION]
-        bootstrap = ddpg.critic.module(successor, ddpg.actor.module(successor))
-    torch.testing.assert_close(target[gone], rows[NEXT_REWARD][gone])
-    torch.testing.assert_close(target[truncated], (rows[NEXT_REWARD] + 0.9 * bootstrap)[truncated])
-    last = batch["next", "agents", "truncated"].squeeze(-1) & batch[base.MASK]
-    torch.testing.assert_close(successor[truncated], batch[NEXT_OBSERVATION][last])
 
 
 @pytest.mark.parametrize("value_loss", ["l2", "smooth_l1"])
@@ -87,21 +54,21 @@ def test_losses_equal_a_hand_computation(value_loss: str) -> None:
     ddpg = make_ddpg(value_loss=value_loss, gamma=0.9, n_step=2)
     rows = transitions(make_batch(), 3.0, 2, 0.9)
     target_actor, target_critic = copy.deepcopy(ddpg.actor.module), copy.deepcopy(ddpg.critic.module)
+    shake(ddpg.loss)
     with torch.no_grad():
-        for parameter in ddpg.loss.parameters():  # so that the targets differ from the networks
-            parameter.add_(0.3 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(5)))
         losses = ddpg.loss(rows)
         observation, successor = rows[base.OBSERVATION], rows[NEXT_OBSERVATION]
         following = target_critic(successor, target_actor(successor))
-        alive = (~rows[NEXT_TERMINATED]).float()
-        target = rows[NEXT_REWARD] + 0.9 ** rows[STEPS] * alive * following
+        alive = (~rows[NEXT_TERMINATED]).float()  # truncated ones are worth what they see
+        assert (rows[("next", *base.DONE)].float() > rows[NEXT_TERMINATED].float()).any() and not alive.all()
+        target = rows[replay.NEXT_REWARD] + 0.9 ** rows[replay.STEPS] * alive * following
         error = ddpg.critic.module(observation, rows[base.ACTION]) - target
         l2, huber = error**2, torch.where(error.abs() < 1, 0.5 * error**2, error.abs() - 0.5)
         value = ddpg.critic.module(observation, ddpg.actor.module(observation))
     assert float((error.abs() > 1).float().mean()) > 0.1, "the two losses must differ in this test"
     torch.testing.assert_close(losses["loss_value"], (l2 if value_loss == "l2" else huber).mean())
     torch.testing.assert_close(losses["loss_actor"], -value.mean())
-    torch.testing.assert_close(rows[ERROR], (error**2).squeeze(-1))
+    torch.testing.assert_close(rows[replay.ERROR], (error**2).squeeze(-1))
 
 
 def test_targets_follow_slowly_and_each_loss_moves_its_own_network() -> None:
@@ -153,8 +120,7 @@ def test_exploration_is_bounded_and_remembers_each_vehicle() -> None:
 
 def test_evaluation_is_deterministic_and_starts_mild() -> None:
     ddpg, batch = make_ddpg(initial_accel_mps2=0.5), make_batch()
-    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        one, other = ddpg.policy(batch.clone())[base.ACTION], ddpg.policy(batch.clone())[base.ACTION]
+    one, other = (act(ddpg, batch, seed, ExplorationType.DETERMINISTIC)[base.ACTION] for seed in range(2))
     torch.testing.assert_close(one, other, atol=0.0, rtol=0.0)
     mask = batch[base.MASK]
     assert float((one[mask] - 0.5).abs().max()) < 0.3
@@ -167,9 +133,8 @@ def test_compiled_actor_equals_the_modules(activation: str, hidden: tuple[int, .
     ddpg, batch = make_ddpg(hidden=hidden, activation=activation), make_batch()
     observation, mask = batch[base.OBSERVATION], batch[base.MASK]
     observation[~mask] = float("nan")
+    shake(ddpg.policy)
     with torch.no_grad():
-        for parameter in ddpg.policy.parameters():
-            parameter.add_(0.3 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(7)))
         compiled = ddpg.policy.mean(observation, mask)
         by_modules = ddpg.actor.module(observation)
         for place in mask.nonzero().tolist():
@@ -205,16 +170,16 @@ def test_without_its_replay_a_restored_run_collects_before_it_learns() -> None:
 
 def test_priorities_decide_what_is_drawn_and_weights_undo_it() -> None:
     torch.manual_seed(0)
-    replay = Replay(capacity=3, minibatch_rows=3000, alpha=0.5, beta=1.0)
-    replay.add(transitions(make_batch())[:3])
-    rows = replay.sample()
-    rows["index"], rows[ERROR] = torch.arange(3000) % 3, torch.tensor([1.0, 16.0, 81.0]).repeat(1000)
-    replay.learned(rows)
-    drawn = replay.sample()
+    memory = replay.Replay(capacity=3, minibatch_rows=3000, alpha=0.5, beta=1.0)
+    memory.add(transitions(make_batch())[:3])
+    rows = memory.sample()
+    rows["index"], rows[replay.ERROR] = torch.arange(3000) % 3, torch.tensor([1.0, 16.0, 81.0]).repeat(1000)
+    memory.learned(rows)
+    drawn = memory.sample()
     share = torch.bincount(drawn["index"], minlength=3) / 3000  # errors 1, 4, 9 to the power 0.5
     torch.testing.assert_close(share, torch.tensor([1.0, 2.0, 3.0]) / 6, atol=0.03, rtol=0.0)
     weight = torch.tensor([drawn["priority_weight"][drawn["index"] == row][0] for row in range(3)])
     torch.testing.assert_close(weight, torch.tensor([1.0, 1 / 2, 1 / 3]), atol=1e-4, rtol=1e-4)
-    replay.add(transitions(make_batch())[:1])
-    assert isinstance(replay.sampler, PriorityDraws)
-    assert float(replay.sampler.priority[0]) == pytest.approx(9.0, abs=1e-3), "new rows come first"
+    memory.add(transitions(make_batch())[:1])
+    assert isinstance(memory.sampler, replay.PriorityDraws)
+    assert float(memory.sampler.priority[0]) == pytest.approx(9.0, abs=1e-3), "new rows come first"

@@ -1,7 +1,5 @@
 """Decisions out of steps: what learners see where agents do not decide in every step."""
 
-from __future__ import annotations
-
 import contextlib
 from collections import defaultdict
 from typing import Any

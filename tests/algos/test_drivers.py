@@ -1,9 +1,5 @@
 """Scripted drivers write what an environment reads, and glide gives the advice that a hand calculation gives."""
 
-from __future__ import annotations
-
-from multiprocessing.reduction import ForkingPickler
-
 import pytest
 import torch
 from tensordict import TensorDict
@@ -14,11 +10,11 @@ from izoo.algos.drivers.glide import Glide, GlideConfig
 from izoo.algos.drivers.random import RandomDriver
 from izoo.algos.drivers.uncommanded import UncommandedDriver
 from izoo.algos.learners.registry import DRIVER_NAMES
-from izoo.contexts.features import feature
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
-from izoo.envs.mdp.observation import DISTANCE_SCALE_M, FAR_M, SPEED_SCALE_MPS, TIME_SCALE_S
+from izoo.envs.mdp.observation import FAR_M
 from izoo.errors import IzooError
+from tests.algos.frames import observed
 
 CONFIG = EnvConfig()
 NAMES = observation_names(CONFIG)
@@ -30,31 +26,10 @@ def make_step(n: int = 2, a: int = 3) -> TensorDict:
 
 def observation(**values: float) -> torch.Tensor:
     """An approaching CV, 200 m before a red light, alone at 15 m/s; ``[F]``, ``values`` in SI units."""
-    base = {
-        "speed": 15.0 / SPEED_SCALE_MPS,
-        "stop_line_distance": -200.0 / DISTANCE_SCALE_M,
-        "location_approaching": 1.0,
-        "signal_red": 1.0,
-        "signal_time_left": 20.0 / TIME_SCALE_S,
-        "signal_second_green": 80.0 / TIME_SCALE_S,
-        "signal_third_green": 140.0 / TIME_SCALE_S,
-        "leader_distance": FAR_M / DISTANCE_SCALE_M,
-        "context_green_s": 30.0 / feature("green_s").scale,
-        "context_red_s": 30.0 / feature("red_s").scale,
-        "context_speed_limit_mps": 15.0 / feature("speed_limit_mps").scale,
-        "context_lane_count": 1.0 / feature("lane_count").scale,
-    }
-    scale = {"speed": SPEED_SCALE_MPS, "stop_line_distance": DISTANCE_SCALE_M, "leader_distance": DISTANCE_SCALE_M}
-    scale |= {
-        "context_lane_count": feature("lane_count").scale,
-        "leader_speed": SPEED_SCALE_MPS,
-        "signal_time_left": TIME_SCALE_S,
-    }
-    base |= {name: value / scale.get(name, 1.0) for name, value in values.items()}
-    row = torch.zeros(len(NAMES))
-    for name, value in base.items():
-        row[NAMES.index(name)] = value
-    return row
+    seen = {"speed": 15.0, "stop_line_distance": -200.0, "location_approaching": 1.0, "leader_distance": FAR_M}
+    seen |= {"signal_red": 1.0, "signal_time_left": 20.0, "signal_second_green": 80.0, "signal_third_green": 140.0}
+    seen |= {"context_green_s": 30.0, "context_red_s": 30.0, "context_speed_limit_mps": 15.0, "context_lane_count": 1.0}
+    return observed(CONFIG, **(seen | values))
 
 
 def as_step(*rows: torch.Tensor) -> TensorDict:
@@ -68,73 +43,39 @@ def advise(*rows: torch.Tensor, settings: GlideConfig | None = None) -> tuple[to
     return step["agents", "action"].squeeze(-1), step["agents", "defer"]
 
 
-def test_random_driver_covers_the_range_and_repeats_with_its_seed() -> None:
-    one = RandomDriver(-4.5, 2.6, seed=4)(make_step(50, 40))["agents", "action"]
-    other = RandomDriver(-4.5, 2.6, seed=4)(make_step(50, 40))["agents", "action"]
-    assert one.shape == (50, 40, 1)
-    torch.testing.assert_close(one, other)
-    assert -4.5 <= float(one.min()) < -4.3
-    assert 2.4 < float(one.max()) <= 2.6
-    assert not torch.equal(one, RandomDriver(-4.5, 2.6, seed=5)(make_step(50, 40))["agents", "action"])
-
-
-def test_random_driver_can_be_sent_to_processes_where_it_begins_anew() -> None:
-    """As stock collectors do; PyTorch cannot send a generator."""
-    driver = RandomDriver(seed=4)
-    draws = [driver(make_step(5, 4))["agents", "action"] for _ in range(2)]
-    sent = ForkingPickler.loads(ForkingPickler.dumps(driver))
-    assert not torch.equal(*draws)
-    assert torch.equal(sent(make_step(5, 4))["agents", "action"], draws[0])
-
-
-def test_random_driver_without_a_seed_follows_torch() -> None:
-    driver = RandomDriver(seed=None)
+def test_random_driver_covers_the_range_and_follows_torchs_generator() -> None:
     draws = []
     for _ in range(2):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(3)
-            draws.append(driver(make_step())["agents", "action"])
-    assert torch.equal(draws[0], draws[1])
+            draws.append(RandomDriver()(make_step(50, 40))["agents", "action"])
+    assert draws[0].shape == (50, 40, 1) and torch.equal(*draws)
+    assert -4.5 <= float(draws[0].min()) < -4.3 and 2.4 < float(draws[0].max()) <= 2.6
 
 
-def test_uncommanded_driver_defers_everyone() -> None:
+def test_constant_speeds_and_accelerations_and_no_command() -> None:
+    """A speed is reached in one step, within the bounds; an acceleration is the same whatever is seen."""
+    seen = as_step(observation(speed=9.5), observation(speed=0.0), observation(speed=15.0))
+    cases = {make_driver("constant_2.0", CONFIG): [2.0, 2.0, 2.0], ConstantSpeed(CONFIG, 10.0): [1.0, 2.6, -4.5]}
+    for driver, expected in cases.items():
+        step = driver(seen.clone())
+        assert step["agents", "action"].squeeze(-1).tolist() == pytest.approx(expected, abs=1e-5)
+        assert not step["agents", "defer"].any()
     step = UncommandedDriver()(make_step())
-    assert bool(step["agents", "defer"].all())
-    assert step["agents", "action"].shape == (2, 3, 1)
-
-
-def test_constant_speed_reaches_its_speed_in_one_step_within_the_bounds() -> None:
-    step = ConstantSpeed(CONFIG, 10.0)(as_step(observation(speed=9.5), observation(speed=0.0), observation(speed=15.0)))
-    assert step["agents", "action"].squeeze(-1).tolist() == pytest.approx([1.0, 2.6, -4.5], abs=1e-5)
-    assert not step["agents", "defer"].any()
-
-
-def test_constant_acceleration_asks_for_two_metres_per_second_squared_whatever_it_sees() -> None:
-    step = make_driver("constant_2.0", CONFIG)(as_step(observation(speed=0.0), observation(speed=30.0)))
-    assert step["agents", "action"].squeeze(-1).tolist() == [2.0, 2.0]
-    assert not step["agents", "defer"].any()
+    assert bool(step["agents", "defer"].all()) and step["agents", "action"].shape == (2, 3, 1)
 
 
 def test_a_speed_cap_brakes_what_is_faster_and_leaves_the_slower_alone() -> None:
+    assert make_driver("cap_1", CONFIG)(as_step(observation(), observation(speed=3.0)))["agents", "defer"].all()
     step = make_driver("cap_0.6", CONFIG)(as_step(*(observation(speed=v) for v in (15.0, 9.5, 9.0, 8.0, 7.0, 0.0))))
     assert step["agents", "action"].squeeze(-1).tolist()[:4] == pytest.approx([-1.5, -0.5, 0.0, 1.0], abs=1e-5)
     assert step["agents", "defer"].tolist() == [False, False, False, False, True, True]
-
-
-def test_a_speed_cap_at_the_limit_commands_nothing() -> None:
-    assert make_driver("cap_1", CONFIG)(as_step(observation(speed=15.0), observation(speed=3.0)))[
-        "agents", "defer"
-    ].all()
 
 
 @pytest.mark.parametrize("name", ["cap_0", "cap_1.2", "cap_-1", "cap_x", "cap_", "cap_nan"])
 def test_a_cap_that_is_no_share_is_refused(name: str) -> None:
     with pytest.raises(IzooError, match="share of the limit above 0 and up to 1"):
         make_driver(name, CONFIG)
-
-
-def test_the_names_of_drivers_are_those_of_the_table() -> None:
-    assert tuple(DRIVERS) == DRIVER_NAMES
 
 
 @pytest.mark.parametrize("name", DRIVERS)
@@ -157,6 +98,7 @@ def test_every_driver_writes_the_action_keys_and_ignores_padding(name: str) -> N
 
 
 def test_unknown_driver_names_the_nearest() -> None:
+    assert tuple(DRIVERS) == DRIVER_NAMES
     with pytest.raises(IzooError, match="Did you mean 'glide'"):
         make_driver("glied", CONFIG)
 
@@ -170,12 +112,8 @@ def test_glide_arrives_when_the_first_vehicle_of_the_green_may_pass() -> None:
 
 def test_glide_waits_for_the_queue_and_skips_a_green_that_it_uses_up() -> None:
     driver = Glide(CONFIG)
-    alone, behind_two, behind_many = (
-        observation(),
-        observation(leader_present=1.0, leader_distance=200.0 - 7.5),
-        observation(leader_present=1.0, leader_distance=80.0),
-    )
-    rows = torch.stack([alone, behind_two, behind_many])
+    behind = [observation(leader_present=1.0, leader_distance=distance_m) for distance_m in (200.0 - 7.5, 80.0)]
+    rows = torch.stack([observation(), *behind])
     distance = torch.full((3,), 200.0)
     queue = driver.queue_ahead(rows, distance)
     assert queue.tolist() == pytest.approx([0.0, 2.0, 1.0 + 120.0 / 7.5], abs=1e-4)
@@ -194,19 +132,16 @@ def test_glide_waits_for_the_queue_and_skips_a_green_that_it_uses_up() -> None:
         {"leader_present": 1.0, "leader_distance": 10.0, "leader_speed": 15.0},  # following closely
         {"stop_line_distance": -320.0, "signal_time_left": 19.0},  # would be early by less than two seconds
         {"context_lane_count": 2.0},  # cannot know which lane others choose
-        {"context_green_s": 0.08, "context_red_s": 0.32},  # 20 % of green: too little is discharged
+        {"context_green_s": 8.0, "context_red_s": 32.0},  # 20 % of green: too little is discharged
     ],
 )
 def test_glide_leaves_alone_vehicles_that_need_not_slow(values: dict[str, float]) -> None:
     assert advise(observation(**values))[1].tolist() == [True]
 
 
-def test_glide_drives_on_wider_approaches_when_told_to() -> None:
+def test_glide_drives_on_wider_approaches_and_before_short_greens_when_told_to() -> None:
     assert advise(observation(context_lane_count=2.0), settings=GlideConfig(max_lanes=2))[1].tolist() == [False]
-
-
-def test_glide_drives_before_short_greens_when_told_to() -> None:
-    row = observation(context_green_s=0.13, context_red_s=0.47)
+    row = observation(context_green_s=13.0, context_red_s=47.0)
     assert advise(row)[1].tolist() == [True]
     assert advise(row, settings=GlideConfig(min_green_share=0.2))[1].tolist() == [False]
 
@@ -227,11 +162,11 @@ def test_glide_drives_before_short_greens_when_told_to() -> None:
         # One that stands beyond the line is further away than the line.
         (
             {"stop_line_distance": -60.0, "leader_present": 1.0, "leader_distance": 140.0, "signal_time_left": 30.0},
-            100.0 / 120.0,
+            5 / 6,
         ),
     ],
 )
-def test_glide_brakes_early_on_wider_approaches_where_a_stop_is_certain(
+def test_glide_brakes_early_on_wider_roads_where_a_stop_is_certain(
     values: dict[str, float], decel: float | None
 ) -> None:
     row = observation(**{"context_lane_count": 2.0, "speed": 10.0, "signal_green": 0.0, "signal_red": 1.0} | values)
@@ -243,7 +178,7 @@ def test_glide_brakes_early_on_wider_approaches_where_a_stop_is_certain(
 
 
 def test_glide_never_advises_below_its_floor() -> None:
-    row = observation(speed=4.0, signal_time_left=60.0, signal_second_green=120.0 / TIME_SCALE_S)
+    row = observation(speed=4.0, signal_time_left=60.0, signal_second_green=120.0)
     accel, idle = advise(row)
     assert not idle.any()
     assert accel.tolist() == pytest.approx([0.0], abs=1e-5)

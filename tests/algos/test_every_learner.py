@@ -1,7 +1,5 @@
 """What holds of every learner: empty slots do not count, nor does their order; states restore the very next update."""
 
-from __future__ import annotations
-
 import copy
 import io
 import itertools
@@ -11,7 +9,7 @@ from typing import Any
 import pytest
 import torch
 from tensordict import TensorDict
-from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.envs.utils import ExplorationType
 
 from izoo.algos.learners import base
 from izoo.algos.learners.ddpg import DDPG, DDPGConfig
@@ -19,7 +17,7 @@ from izoo.algos.learners.graph_ppo import GCRL, GCRLConfig
 from izoo.algos.learners.mappo import MAPPO, MAPPOConfig
 from izoo.algos.learners.ppo import PPO, PPOConfig
 from izoo.algos.learners.td3 import TD3, TD3Config
-from tests.algos.frames import FEATURES, HIGH, LOW, SPACE, alone, make_frames
+from tests.algos.frames import FEATURES, HIGH, LOW, SPACE, act, alone, make_frames, reordered, shake, with_noise
 
 ON: dict[str, Any] = {"hidden": (8, 8), "minibatch_rows": 7}
 OFF: dict[str, Any] = {"hidden": (8,), "minibatch_rows": 16, "replay_rows": 40, "learning_starts": 0}
@@ -42,12 +40,6 @@ def make(name: str, **changes: object) -> Any:
     algorithm, config, small = LEARNERS[name]
     torch.manual_seed(3)
     return algorithm(config(**{**small, **changes}), FEATURES, SPACE)
-
-
-def act(algorithm: Any, batch: TensorDict, seed: int = 1) -> TensorDict:
-    torch.manual_seed(seed)
-    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
-        return algorithm.policy(batch.clone())
 
 
 def update(algorithm: Any, batch: TensorDict, progress: float = 0.0, seed: int = 7) -> dict[str, float]:
@@ -95,12 +87,10 @@ def test_losses_equal_a_hand_computation(name: str) -> None:
     algorithm = make(name, clip_epsilon=0.1, value_loss="l2", value_coeff=0.5, entropy_coeff=0.0, kl_coeff=0.0)
     batch = act(algorithm, make_frames())
     rows, mask = algorithm.advantages(batch), batch[base.MASK]
+    shake(algorithm.loss)
     with torch.no_grad():
-        for parameter in algorithm.loss.parameters():
-            parameter.add_(0.3 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(5)))
         losses = algorithm.loss(rows)
-        with set_exploration_type(ExplorationType.DETERMINISTIC):
-            now = algorithm.policy(batch.clone())
+    now = act(algorithm, batch, kind=ExplorationType.DETERMINISTIC)
     loc, scale, action = now[base.LOC][mask], now[base.SCALE][mask], batch[base.ACTION][mask]
     squashed = (action - (HIGH + LOW) / 2) / ((HIGH - LOW) / 2)
     log_prob = -0.5 * ((torch.atanh(squashed) - loc) / scale) ** 2 - scale.log() - 0.5 * math.log(2 * math.pi)
@@ -120,12 +110,7 @@ def test_losses_equal_a_hand_computation(name: str) -> None:
 def test_padding_changes_nothing(name: str, noise: float) -> None:
     one, other = make(name), make(name)
     clean = act(one, make_frames())
-    noisy = clean.clone()
-    for group in (noisy["agents"], noisy["next", "agents"]):
-        for key in set(group.keys()) & {"observation", "action", "loc", "scale", "action_log_prob"}:
-            group[key][~group["mask"]] = noise
-    noisy["next", "agents", "reward"][~noisy[base.MASK]] = noise
-    assert update(other, noisy) == pytest.approx(update(one, clean), rel=1e-6)
+    assert update(other, with_noise(clean, noise)) == pytest.approx(update(one, clean), rel=1e-6)
     assert_same(one, other, atol=1e-6)
 
 
@@ -192,10 +177,6 @@ def test_slot_order_and_slot_count_change_nothing(name: str) -> None:
     """One gradient step over all rows is the same; off-policy rows are those of :mod:`tests.algos.test_losses`."""
     whole = {"rows_per_epoch": None, "minibatch_rows": 10_000, "epochs": 1}
     one, other = make(name, **whole), make(name, **whole)
-    batch, order = act(one, make_frames()), torch.tensor([2, 3, 0, 1])
-    wide = TensorDict(batch_size=batch.batch_size)
-    for place in ("agents", ("next", "agents")):
-        group = batch[place]
-        wide[place] = torch.cat([torch.zeros_like(group[..., :3]), group[..., order]], -1)
-    assert update(other, wide) == pytest.approx(update(one, batch), rel=1e-3, abs=1e-5)
+    batch = act(one, make_frames())
+    assert update(other, reordered(batch)) == pytest.approx(update(one, batch), rel=1e-3, abs=1e-5)
     assert_same(one, other, atol=1e-3)  # Adam turns rounding into steps where a gradient is 0 but for rounding

@@ -1,15 +1,12 @@
 """What came of commands: accelerations read from speeds, and the advice that stands for them."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
 from izoo.algos.actions.action_modes import AdviseAction, DirectAction, ResidualAction
-from izoo.algos.actions.action_wrappers import RAW_ACTION, SpeedCap
-from izoo.algos.actions.executed_actions import ExecutedAcceleration
+from izoo.algos.actions.action_wrappers import RAW_ACTION, ExecutedAcceleration, SpeedCap
 from izoo.algos.actions.residual import Correction, NominalDriver
 from izoo.algos.learners import base
 from izoo.algos.learners.ddpg import DDPGConfig

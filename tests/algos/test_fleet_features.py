@@ -1,7 +1,5 @@
 """MAPPO's critic over all vehicles: the picture by hand, what it changes, and a real run."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 
@@ -64,15 +62,12 @@ def test_the_critic_sees_human_drivers_and_the_policy_does_not(credit: str) -> N
     for played in (batch, other):
         seen = played.copy()
         add_fleet(seen)
-        estimator = mappo.loss.value_estimator
+        estimator, mask = mappo.loss.value_estimator, played[base.MASK]
         with torch.no_grad():
-            found.append(
-                estimator.team_values(seen, torch.ones(2, 6, dtype=torch.bool)).squeeze(-1)
-                if credit == "team"
-                else mappo.loss.value_estimator.values(seen, played[base.MASK])
-                .new_zeros(2, 6, 4)
-                .masked_scatter(played[base.MASK], mappo.loss.value_estimator.values(seen, played[base.MASK]))
-            )
+            if credit == "team":
+                found.append(estimator.team_values(seen, torch.ones(2, 6, dtype=torch.bool)).squeeze(-1))
+            else:
+                found.append(torch.zeros(2, 6, 4).masked_scatter(mask, estimator.values(seen, mask)))
     changed = found[0] != found[1]
     assert changed[0, 2].any() and not changed[1].any() and not changed[0, [0, 1, 3, 4, 5]].any()
     assert FLEET not in mappo.policy.in_keys and ("vehicles", "speed_mps") not in mappo.policy.in_keys

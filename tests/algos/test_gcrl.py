@@ -1,7 +1,5 @@
 """Graph RL: the graph and its attention by hand, how far information travels, and a real run."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -13,7 +11,7 @@ from izoo.algos.networks.set_networks import places
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M
-from tests.algos.frames import FEATURES, SPACE, act, check_gradients_stay_with_agents, make_frames
+from tests.algos.frames import FEATURES, SPACE, act, check_gradients_stay_with_agents, make_frames, shake
 
 POSITIONS = torch.tensor([-100.0, -90.0, -60.0, 0.0, 0.0, 30.0])
 EVERYONE = torch.ones(6, dtype=torch.bool)
@@ -30,27 +28,15 @@ def sets(attended: torch.Tensor) -> list[set[int]]:
     return [set(row.nonzero()[:, 0].tolist()) for row in attended]
 
 
-def test_the_nearest_are_neighbours() -> None:
+def test_neighbours_are_the_nearest_and_those_in_range() -> None:
     assert sets(neighbourhood(POSITIONS, EVERYONE, 1, None)) == [{0, 1}, {0, 1}, {1, 2}, {3, 4}, {3, 4}, {3, 4, 5}]
     assert sets(neighbourhood(POSITIONS, EVERYONE, 2, None))[2] == {0, 1, 2}
-
-
-def test_vehicles_out_of_range_are_none() -> None:
-    assert sets(neighbourhood(POSITIONS, EVERYONE, None, 30.0)) == [
-        {0, 1},
-        {0, 1, 2},
-        {1, 2},
-        {3, 4, 5},
-        {3, 4, 5},
-        {3, 4, 5},
-    ]
+    assert sets(neighbourhood(POSITIONS, EVERYONE, None, 30.0)) == [{0, 1}, {0, 1, 2}, {1, 2}, *[{3, 4, 5}] * 3]
     assert sets(neighbourhood(POSITIONS, EVERYONE, 4, 5.0))[5] == {5}, "a vehicle without neighbours has itself"
-
-
-def test_ties_are_all_neighbours() -> None:
-    """Whoever is inside the junction is at 0; the order of the slots must not choose among them."""
+    # All inside the junction are at 0; the order of the slots must not choose among them.
     inside = torch.tensor([0.0, 0.0, 0.0, -10.0])
     assert sets(neighbourhood(inside, torch.ones(4, dtype=torch.bool), 1, None)) == [{0, 1, 2}] * 3 + [{0, 1, 2, 3}]
+    assert observation_names(EnvConfig())[STOP_LINE_DISTANCE] == "stop_line_distance"
 
 
 def test_empty_slots_are_nobodys_neighbours() -> None:
@@ -60,10 +46,6 @@ def test_empty_slots_are_nobodys_neighbours() -> None:
     assert sets(attended[~mask]) == [{1}, {4}]
     assert sets(neighbourhood(POSITIONS, EVERYONE, 0, None)) == [{k} for k in range(6)]
     assert sets(neighbourhood(POSITIONS, EVERYONE, None, None)) == [set(range(6))] * 6
-
-
-def test_the_stop_line_distance_is_where_the_graph_reads_it() -> None:
-    assert observation_names(EnvConfig())[STOP_LINE_DISTANCE] == "stop_line_distance"
 
 
 def test_a_convolution_equals_a_hand_computation() -> None:
@@ -177,9 +159,8 @@ def test_a_policy_sees_its_own_frame_alone(changes: dict[str, object]) -> None:
     config = GCRLConfig(**{"hidden": (16, 16), **changes})  # type: ignore[arg-type]
     policy, observation = GCRL(config, FEATURES, SPACE).policy, make_crowd()
     noise = torch.randn(12, 9, generator=torch.Generator().manual_seed(8))
+    shake(policy, 0.2)
     with torch.no_grad():
-        for parameter in policy.parameters():
-            parameter.add_(0.2 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(9)))
         together = policy.sample(observation, CROWDED, noise)
         order = torch.tensor([3, 8, 0, 5, 1, 2, 7, 6, 4])
         turned = policy.sample(observation[:, order], CROWDED[:, order], noise[:, order])

@@ -1,7 +1,5 @@
 """The search over glide's settings: its start, the two kinds of roads, who tells whom, and what is refused."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -22,10 +20,7 @@ from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.results.policies import weights_hash
 
-ENV = EnvConfig(
-    hold_s=2.0,
-    observed=("adoption", "green_s", "red_s", "lane_count", "lane_length_m", "speed_limit_mps"),
-)
+ENV = EnvConfig(hold_s=2.0, observed=("adoption", "green_s", "red_s", "lane_count", "lane_length_m", "speed_limit_mps"))
 NAMES = observation_names(ENV)
 LANES, AGENTS, STEPS = NAMES.index("context_lane_count"), 7, 3
 ONE, SEVERAL = 1 / 4, 3 / 4
@@ -112,13 +107,8 @@ def test_where_the_gate_is_closed_cvs_brake_gently_for_stops_that_are_certain() 
     algorithm.policy.mean[:, len(SETTINGS)] = -20.0
     frame = seen(1, SEVERAL)
     rows = frame[base.OBSERVATION]
-    for name, value in {
-        "speed": 0.9,
-        "stop_line_distance": -0.6,
-        "leader_distance": 0.04,
-        "leader_speed": 0.9,
-        "signal_time_left": 0.5,
-    }.items():
+    values = {"speed": 0.9, "stop_line_distance": -0.6, "leader_distance": 0.04, "leader_speed": 0.9}
+    for name, value in {**values, "signal_time_left": 0.5}.items():
         rows[..., NAMES.index(name)] = value  # 150 m before the line, 10 m behind a leader, red for 50 s
     assert not act(algorithm, frame)[DEFER][0, :-1].any()
     assert (act(algorithm, frame)[base.ACTION][0, :-1] < 0.0).all()

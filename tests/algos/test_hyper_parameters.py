@@ -1,7 +1,5 @@
 """Hyper-parameters out of their range are refused, with their names."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Learning that begins by imitating glide: what is imitated, for how long, and what holds the policy afterwards."""
 
-from __future__ import annotations
-
 import copy
 import math
 
@@ -16,10 +14,10 @@ from izoo.algos.drivers.by_name import make_driver
 from izoo.algos.learners import base
 from izoo.algos.learners.imitation import LEAST_SPREAD
 from izoo.envs.config import EnvConfig
-from tests.algos.test_action_wrappers import act, make, observe
+from tests.algos.frames import act
+from tests.algos.test_action_wrappers import RED, make, observe
 
 ENV = EnvConfig()
-RED = {"signal_green": 0.0, "signal_red": 1.0, "signal_time_left": 0.3, "context_lane_count": 0.25}
 WARM = ("algo.warm_start=glide", "algo.warm_start_frames=1200", "algo.lr=3e-3", "algo.hidden=[32]")
 ALGOS = ["ppo", "mappo", "gcrl"]
 
@@ -28,7 +26,7 @@ def glide_batch(n: int = 3, t: int = 40, a: int = 6, seed: int = 0) -> TensorDic
     """CVs at random distances before a red or a green light, one in three slots empty: glide slows some of them."""
     generator = torch.Generator().manual_seed(seed)
     draw = lambda: torch.rand((n, t, a), generator=generator)  # noqa: E731
-    kinds = torch.stack([observe(context_lane_count=0.25), observe(**RED)])
+    kinds = torch.stack([observe(context_lane_count=1.0), observe(**RED, context_lane_count=1.0)])
     observation = kinds[(draw() < 0.5).long()]
     observation[..., 1] = -1.2 * draw()
     mask = draw() < 2 / 3
@@ -72,7 +70,7 @@ def test_the_policy_learns_to_drive_like_glide_and_to_leave_alone_whom_glide_doe
     assert not wanted[mask & expert[DEFER]].any()
     losses = [algorithm.update(act(algorithm, batch), 0.0)["loss_imitation"] for _ in range(60)]
     assert losses[-1] < losses[0] - 0.5
-    greedy = act(algorithm, batch, ExplorationType.DETERMINISTIC)
+    greedy = act(algorithm, batch, kind=ExplorationType.DETERMINISTIC)
     agree = (greedy[RAW_ACTION].squeeze(-1) > 0)[mask] == (wanted > 0)[mask]
     assert float(agree.float().mean()) > 0.9
     error = (greedy[RAW_ACTION].squeeze(-1) - wanted)[commanded].abs().mean()
@@ -136,10 +134,10 @@ def test_the_penalty_keeps_the_policy_near_the_imitation() -> None:
         algorithm = make("ppo", *WARM, *words, action="advise")
         batch = glide_batch()
         algorithm.update(act(algorithm, batch), 0.0)
-        before = act(algorithm, batch, ExplorationType.DETERMINISTIC)[base.LOC].clone()
+        before = act(algorithm, batch, kind=ExplorationType.DETERMINISTIC)[base.LOC].clone()
         for _ in range(15):
             algorithm.update(act(algorithm, batch), 0.0)
-        after = act(algorithm, batch, ExplorationType.DETERMINISTIC)[base.LOC]
+        after = act(algorithm, batch, kind=ExplorationType.DETERMINISTIC)[base.LOC]
         moved.append(float((after - before)[batch[base.MASK]].square().mean()))
     assert math.sqrt(moved[1]) < 0.5 * math.sqrt(moved[0])
 

@@ -1,7 +1,5 @@
 """MAPPO's critic: the attention by hand, who sees whom, and a real run."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -59,22 +57,15 @@ def test_the_critic_sees_everyone_and_the_policy_only_oneself() -> None:
     mask = batch[base.MASK]
     second = mask & (torch.arange(4) == 1) & mask[..., :1]
     with torch.no_grad():
-        before, after = (
-            mappo.loss.value_estimator.values(batch, second),
-            mappo.loss.value_estimator.values(changed, second),
-        )
-        policy = mappo.policy.network
-        torch.testing.assert_close(
-            policy(batch[base.OBSERVATION])[0][second], policy(changed[base.OBSERVATION])[0][second]
-        )
+        before, after = (mappo.loss.value_estimator.values(part, second) for part in (batch, changed))
+        own = [mappo.policy.network(part[base.OBSERVATION])[0][second] for part in (batch, changed)]
+    torch.testing.assert_close(*own)
     assert float((before - after).abs().min()) > 1e-4
 
 
 def test_the_paper_preset_is_rllibs_ppo() -> None:
     paper, ppo = MAPPOConfig.paper(), PPOConfig.paper()
-    assert {name: getattr(paper, name) for name in vars(ppo) if name != "name"} == {
-        name: value for name, value in vars(ppo).items() if name != "name"
-    }
+    assert {name: getattr(paper, name) for name in vars(ppo)} == vars(ppo) | {"name": paper.name}
 
 
 def test_team_credit_with_rewards_that_are_not_the_teams_is_refused() -> None:

@@ -1,10 +1,6 @@
 """Algorithms by name: what the registry offers can be chosen and built, and a line gives a further one a name."""
 
-from __future__ import annotations
-
 import dataclasses
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -125,8 +121,3 @@ def test_an_algorithm_is_one_file_and_one_line(tmp_path: Path) -> None:
     run_folder.write_config(tmp_path, config)
     assert run_folder.read_config(tmp_path) == config
     assert make_algorithm(config.algo, config.action, config.env).update(None, 0.0) == {}  # type: ignore[arg-type]
-
-
-def test_names_come_without_pytorch() -> None:
-    words = "from izoo.algos.learners import registry; registry.choices(); import sys; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", words], check=False).returncode == 0

@@ -1,7 +1,5 @@
 """Before its first update a policy that advises is the uncommanded CV, and one that corrects glide is glide."""
 
-from __future__ import annotations
-
 import contextlib
 
 import numpy as np
@@ -31,7 +29,7 @@ ADVISING = sorted(set(ALGORITHMS) - {"glide_search"})
 def test_without_exploration_it_is_the_same_to_the_last_bit(mode: str) -> None:
     action, driver = MODES[mode]
     context = crossing(lane_count=1, phase_count=1)
-    with contextlib.closing(EcoDrivingEnv(context, config=short())) as env:
+    with contextlib.closing(EcoDrivingEnv(context, config=short(horizon_s=40.0))) as env:
         policies = {name: make_algorithm(preset(name), action, env.config).policy for name in ADVISING}
         seen = {}
         for name, policy in {driver: make_driver(driver, env.config), **policies}.items():

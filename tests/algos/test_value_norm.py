@@ -1,7 +1,5 @@
 """Value normalisation: of valid agent-steps alone, turned back where advantages are estimated, kept in checkpoints."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict
@@ -10,22 +8,11 @@ from torchrl.modules import RunningValueNorm, ValueOperator
 
 from izoo.algos.learners import base
 from izoo.algos.learners.mappo import MAPPO, MAPPOConfig
-from izoo.algos.learners.ppo import PPO, PPOConfig
 from izoo.algos.losses.masked_gae import MaskedGAE
 from tests.algos.frames import FEATURES, SPACE, act, make_frames
+from tests.algos.test_ppo import make_ppo
 
 KINDS = ("running", "popart")
-
-
-def make_ppo(**changes: object) -> PPO:
-    torch.manual_seed(3)
-    return PPO(PPOConfig(**{"hidden": (8,), "minibatch_rows": 16, **changes}), FEATURES, SPACE)  # type: ignore[arg-type]
-
-
-def scaled(batch: TensorDict, factor: float, offset: float = 0.0) -> TensorDict:
-    batch = batch.clone()
-    batch["next", "agents", "reward"] = batch["next", "agents", "reward"] * factor + offset
-    return batch
 
 
 def test_estimates_are_those_of_a_critic_that_speaks_in_the_rewards_unit() -> None:
@@ -52,7 +39,8 @@ def test_estimates_are_those_of_a_critic_that_speaks_in_the_rewards_unit() -> No
 @pytest.mark.parametrize("noise", [1e9, float("nan")])
 def test_statistics_are_of_the_valid_agent_steps(kind: str, noise: float) -> None:
     ppo = make_ppo(value_norm=kind, reward_scale=1.0)
-    batch = act(ppo, scaled(make_frames(), 50.0, -7.0))  # type: ignore[arg-type]
+    batch = act(ppo, make_frames())
+    batch["next", "agents", "reward"].mul_(50.0).sub_(7.0)
     empty = ~batch[base.MASK]
     batch["next", "agents", "reward"][empty] = noise
     batch[base.OBSERVATION][empty] = noise
@@ -81,11 +69,12 @@ def test_the_teams_statistics_are_of_all_frames() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_large_returns_are_learned_as_fast_as_small_ones(kind: str) -> None:
     """Rewards of thousands that depend on what is observed: without normalisation the critic lags far behind."""
-    found = {}
+    found, settings = {}, {"lr": 5e-3, "anneal_lr": False, "gamma": 0.0, "reward_scale": 1.0, "separate_clips": True}
+    settings["minibatch_rows"] = 16
     for name in ("none", kind):
-        ppo = make_ppo(value_norm=name, lr=5e-3, anneal_lr=False, gamma=0.0, reward_scale=1.0, separate_clips=True)
+        ppo = make_ppo(value_norm=name, **settings)
         for round_ in range(25):
-            batch = act(ppo, make_frames(n=4, t=16, seed=round_))  # type: ignore[arg-type]
+            batch = act(ppo, make_frames(n=4, t=16, seed=round_))
             batch["next", "agents", "reward"] = 2000.0 + 1000.0 * batch[base.OBSERVATION][..., :1]
             found[name] = ppo.update(batch, 0.0)["explained_variance"]
     assert found[kind] > 0.8, found

@@ -1,7 +1,5 @@
 """What drivers do, counted from scenes that are made by hand."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

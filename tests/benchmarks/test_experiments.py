@@ -1,7 +1,5 @@
 """Experiments: what the files that ship list is there to be trained and played, and what a file gets wrong is said."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
@@ -31,12 +29,6 @@ def made(name: str, part: str, folder: Path) -> PartRun:
             pytest.skip("IZOO_TEST_DATA is unset; it names the folder with the published dataset's sample")
         dataset = f"{os.environ['IZOO_TEST_DATA']}/salt-lake-city-60"
     return PartRun(experiment, part, folder, CampaignConfig(dataset=dataset))
-
-
-def written(folder: Path, **content: object) -> str:
-    path = folder / "mine.yaml"
-    path.write_text(yaml.safe_dump(content))
-    return str(path)
 
 
 @pytest.mark.parametrize(("name", "part"), [(name, part) for name in shipped() for part in parts(name)])
@@ -113,11 +105,10 @@ def test_entries_keep_their_own_environments(tmp_path: Path) -> None:
     ],
 )
 def test_what_a_file_gets_wrong_is_one_sentence(content: dict, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(yaml.safe_dump(content))
     with pytest.raises(IzooError, match=message):
-        PartRun(read_experiment(written(tmp_path, **content)), "a", tmp_path, CampaignConfig())
-
-
-def test_an_experiment_that_is_not_there_is_said() -> None:
+        PartRun(read_experiment(str(path)), "a", tmp_path, CampaignConfig())
     with pytest.raises(IzooError, match=r"Did you mean 'reference'\?.* Or name a YAML file"):
         read_experiment("refrence")
 

@@ -1,7 +1,5 @@
 """Training runs in processes of their own: real ones, on the twin."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,6 @@
 """The twin beside SUMO: what is compared, how it is summed up, and the command from its first line to its files."""
 
-from __future__ import annotations
-
+import contextlib
 import io
 import json
 from pathlib import Path
@@ -26,6 +25,7 @@ from izoo.results.policies import as_policy
 from izoo.results.rows_file import RowsFile
 from izoo.results.schema import COLUMNS, make_table
 from izoo.results.selection import EpisodeSeeds
+from tests.conftest import Refused
 from tests.metrics.tables import episode_row
 from tests.networks.test_dataset import write
 
@@ -76,9 +76,8 @@ def test_differences_beyond_sumos_own_spread_are_counted() -> None:
     assert row["co2_own"] == pytest.approx(0.04 / 3)
     itself = twin_fidelity.by_group(own).iloc[0]
     assert itself["approaches"] == 6 and itself["co2_mean_abs"] == pytest.approx(0.04 / 3)
-    without = twin_fidelity.by_group(
-        twin_fidelity.with_spread(twin_fidelity.approaches(sumo, played), twin_fidelity.own_spread(sumo, []))
-    ).iloc[0]
+    apart, none = twin_fidelity.approaches(sumo, played), twin_fidelity.own_spread(sumo, [])
+    without = twin_fidelity.by_group(twin_fidelity.with_spread(apart, none)).iloc[0]
     assert without["co2_beyond"] == without["co2_wide"] == 2 and np.isnan(without["co2_own"])
 
 
@@ -125,11 +124,8 @@ def watched(policy: str, context: Context, config: EnvConfig) -> list[Watched]:
     """An episode in SUMO and on the twin."""
     found = []
     for simulator in ("sumo", "twin"):
-        env = EcoDrivingEnv(config=config, simulator=simulator)
-        try:
+        with contextlib.closing(EcoDrivingEnv(config=config, simulator=simulator)) as env:
             found.append(Watched(env, as_policy(policy, config).policy, context, 1))
-        finally:
-            env.close()
     return found
 
 
@@ -173,10 +169,8 @@ def test_bad_options(options: dict[str, tuple[object, ...]], said: str) -> None:
         FidelityConfig(**options)  # type: ignore[arg-type]
 
 
-def test_a_window_is_refused_before_anything_is_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert twin.main(["contexts=pcg_easy", "env.gui=true", f"out={tmp_path}/out"]) == 2
-    error = capsys.readouterr().err
-    assert "the twin has no window" in error and error.count("\n") == 1
+def test_a_window_is_refused_before_anything_is_played(tmp_path: Path, refused: Refused) -> None:
+    refused(twin.main, ["contexts=pcg_easy", "env.gui=true", f"out={tmp_path}/out"], "the twin has no window")
     assert not list(tmp_path.iterdir())
 
 
@@ -196,7 +190,7 @@ def test_a_net_that_the_twin_cannot_play_is_refused_before_anything_is_played(
 
 
 @pytest.mark.slow
-def test_the_command_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused) -> None:
     words = ["contexts=pcg_easy", "num_contexts=1", "seeds=2", "env.horizon_s=150", "env.warmup_s=30"]
     words += ["adoptions=[0.5]", "demand=[given]", "policies=[uncommanded]", "exact=[uncommanded]", "num_workers=0"]
     out = tmp_path / "out"
@@ -220,7 +214,7 @@ def test_the_command_goes_on_where_it_was(tmp_path: Path, capsys: pytest.Capture
     assert "\u2026" not in shown, "the tables fit 80 columns"
     assert all(f"\n{number}. " in shown for number in range(1, 6)) and "uncommanded" in shown
     assert shown.rstrip().splitlines()[-1].startswith("CO2 per vehicle on the twin is ")
-    assert twin.main([*words, "env.horizon_s=151"]) == 2 and "horizon_s 150.0 -> 151.0" in capsys.readouterr().err
+    refused(twin.main, [*words, "env.horizon_s=151"], "horizon_s 150.0 -> 151.0")
 
 
 def test_policies_of_the_zoo_are_played_in_their_own_environment() -> None:

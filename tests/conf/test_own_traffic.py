@@ -1,7 +1,5 @@
 """``contexts.drivers`` and ``contexts.fleet``: in every source, part of a context's identity, and read with care."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path
@@ -27,15 +25,14 @@ from izoo.traffic.drivers import built_in_population
 from izoo.traffic.sampling import sample_traffic
 from izoo.training import checkpoint
 from izoo.training.validation_rollout import validate
+from tests.conftest import Refused
 
 
 def own_population(tau_s: float = 0.6) -> dict[str, Any]:
     """The built-in population, but for the time headway of light drivers."""
     built_in = dataclasses.asdict(built_in_population())
-    classes = {
-        name: {"log_mean": list(mean), "log_cov": [list(row) for row in covariance]}
-        for name, mean, covariance in zip(DRIVER_CLASSES, built_in["log_mean"], built_in["log_cov"], strict=True)
-    }
+    numbers = zip(DRIVER_CLASSES, built_in["log_mean"], built_in["log_cov"], strict=True)
+    classes = {name: {"log_mean": list(mean), "log_cov": [list(row) for row in cov]} for name, mean, cov in numbers}
     classes["light"]["log_mean"][2] = float(np.log(tau_s))
     return {"source": "test", "classes": classes}
 
@@ -54,15 +51,11 @@ def chosen(*words: str) -> Any:
     return compose.compose_config(TrainConfig, list(words)).contexts
 
 
+CITY, IDS = ["contexts=city", "contexts.city=salt_lake_city"], ["contexts=catalogue", "contexts.ids=[5,100..102]"]
+
+
 @pytest.mark.parametrize(
-    "words",
-    [
-        ["contexts=pcg"],
-        ["contexts=pcg_easy"],
-        ["contexts=systematicity_test"],
-        ["contexts=city", "contexts.city=salt_lake_city"],
-        ["contexts=catalogue", "contexts.ids=[5,100..102]"],
-    ],
+    "words", [["contexts=pcg"], ["contexts=pcg_easy"], ["contexts=systematicity_test"], CITY, IDS], ids=" ".join
 )
 def test_every_source_takes_drivers_and_a_fleet(words: list[str], own_file: Path) -> None:
     own_words = [f"contexts.drivers={own_file}", f"contexts.fleet={list(FLEET)}"]
@@ -80,9 +73,8 @@ def test_every_source_takes_drivers_and_a_fleet(words: list[str], own_file: Path
 
 
 @pytest.mark.parametrize("approaches", ["one", "all"])
-def test_the_dataset_takes_drivers(dataset: Any, approaches: str, own_file: Path) -> None:
-    path = dataset[0].intersection.net_path.rsplit("/", 2)[0]
-    contexts = DatasetContexts(path=path, approaches=approaches, drivers=str(own_file)).build()
+def test_the_dataset_takes_drivers(published: Path, approaches: str, own_file: Path) -> None:
+    contexts = DatasetContexts(path=str(published), approaches=approaches, drivers=str(own_file)).build()
     assert {context.drivers for context in contexts} == {read_population(own_file)}
 
 
@@ -95,9 +87,8 @@ def test_built_in_drivers_leave_identities_as_they_were() -> None:
 def test_drivers_are_drawn_from_the_file(own_file: Path) -> None:
     context = procedural_context(adoption=0.0)
     road = read_road(build_net(context.intersection))
-    built_in, own = (
-        sample_traffic(each, road, 3, 3000.0) for each in (context, context.replace(drivers=read_population(own_file)))
-    )
+    both = context, context.replace(drivers=read_population(own_file))
+    built_in, own = (sample_traffic(each, road, 3, 3000.0) for each in both)
     light = np.isin(built_in.source_type, (21, 31))
     assert 0 < (~light).sum() < light.sum()
     np.testing.assert_array_equal(own.tau_s[~light], built_in.tau_s[~light])
@@ -137,10 +128,7 @@ def _set(name: str, key: str, value: Any) -> Any:
         ("[1, 2]", "it holds no drivers"),
         (broken(lambda c: c["classes"].pop("heavy")), "it holds no drivers .*heavy"),
         (broken(lambda c: c.update(converged=False)), "did not converge; calibrate again"),
-        (
-            broken(_set("light", "log_mean", [2.9, 0.8, -1.2, -0.3])),
-            "log_mean, 5 for each of light and heavy",
-        ),
+        (broken(_set("light", "log_mean", [2.9, 0.8, -1.2, -0.3])), "log_mean, 5 for each of light and heavy"),
         (broken(_set("light", "log_mean", [2.9, "x", -1.2, -0.3, 0.5])), "needs numbers in log_mean"),
         (broken(_set("light", "log_mean", [2.9, 0.8, -1.2, -0.3, float("nan")])), "not finite"),
         (broken(_set("light", "log_mean", [10**400, 0.8, -1.2, -0.3, 0.5])), "needs numbers in log_mean"),
@@ -174,9 +162,7 @@ TOY = [
 ]
 
 
-def test_a_run_keeps_its_drivers_and_refuses_others(
-    own_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_keeps_its_drivers_and_refuses_others(own_file: Path, tmp_path: Path, refused: Refused) -> None:
     run_dir, before = tmp_path / "run", own_file.read_text()
     assert train.main([*TOY, f"contexts.drivers={own_file}", f"run_dir={run_dir}"]) == 0
     kept = run_dir / "drivers-1.json"
@@ -189,9 +175,7 @@ def test_a_run_keeps_its_drivers_and_refuses_others(
             resolve(play)
         with pytest.raises(IzooError, match="put their copy back"):
             validate(checkpoint.find(run_dir))
-        capsys.readouterr()
-        assert train.main([f"resume={run_dir}", "total_frames=200"]) == 2
-        assert "put their copy back" in capsys.readouterr().err
+        refused(train.main, [f"resume={run_dir}", "total_frames=200"], "put their copy back")
     assert resolve(evaluate.COMMAND.compose([f"run={run_dir}", "contexts=pcg_easy"])).contexts.drivers is None
     own_file.write_text(before)
     assert train.main([f"resume={run_dir}", "total_frames=200"]) == 0

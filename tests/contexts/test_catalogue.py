@@ -52,12 +52,6 @@ def test_get_builds_the_scenario():
     assert catalogue.get(654321).content_hash == catalogue.get(654321).content_hash
 
 
-@pytest.mark.parametrize("context_id", [-1, SIZE, 1.5, "3", True])
-def test_ids_out_of_range_are_refused(context_id):
-    with pytest.raises(IzooError, match="1306719"):
-        describe(context_id)
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -74,20 +68,24 @@ def test_unknown_scenarios_are_refused(changes, message):
         find_id(**{**GOLDEN[0]._asdict(), **changes})
 
 
+def test_ids_out_of_range_and_filters_that_leave_nothing_are_refused():
+    for context_id in (-1, SIZE, 1.5, "3", True):
+        with pytest.raises(IzooError, match="1306719"):
+            describe(context_id)
+    with pytest.raises(IzooError, match="no scenario is selected"):
+        Scenarios(season=[])
+    with pytest.raises(IzooError, match=r"\[0, 1\]"):
+        Scenarios(adoption=1.2)
+
+
 def test_filters_match_a_plain_search():
-    chosen = Scenarios(
-        city=["seattle", "atlanta"], season="summer", hour="off-peak", engine="electric", adoption=[1.0, 0.2]
-    )
+    filters = {"season": "summer", "hour": "off-peak", "engine": "electric"}
+    chosen = Scenarios(city=["seattle", "atlanta"], adoption=[1.0, 0.2], **filters)
     assert len(chosen) == (621 + 995) * 2
     ids = [find_id(*chosen.locate(index)[0]) for index in range(len(chosen))]
     assert ids == sorted(set(ids))
-    wanted = [
-        context_id
-        for context_id in range(621 * 80)
-        if (lambda s: (s.season, s.hour, s.engine) == ("summer", "off-peak", "electric") and s.adoption in (0.2, 1.0))(
-            describe(context_id)
-        )
-    ]
+    every = ((number, describe(number)._asdict()) for number in range(621 * 80))
+    wanted = [number for number, of in every if filters.items() <= of.items() and of["adoption"] in (0.2, 1.0)]
     assert ids[: len(wanted)] == wanted
     assert chosen[3].context_id == ids[3]
     assert chosen[-1].context_id == ids[-1]
@@ -106,9 +104,7 @@ def test_one_approach_expansion():
     assert one[0].demand_approaches == ("A",)
     assert len(Scenarios(**settings)) == 282
     assert Scenarios(**settings)[0].context_id is None
-
-
-def test_one_approach_of_several_levels_enumerates_every_pair_once():
+    # Of several levels every pair is enumerated once.
     chosen = Scenarios(city="salt_lake_city", season="summer", hour="peak", approaches="one")
     seen = {chosen.locate(index) for index in range(len(chosen))}
     assert len(seen) == len(chosen) == 1048 * 5 * 2
@@ -132,13 +128,6 @@ def test_shares_may_be_numbers_of_any_kind_and_nothing_else():
     for share in ("0.5", ["x"], [None]):
         with pytest.raises(IzooError, match=r"adoption is .*; it must be a number"):
             Scenarios(city="atlanta", adoption=share)
-
-
-def test_empty_filters_are_refused():
-    with pytest.raises(IzooError, match="no scenario is selected"):
-        Scenarios(season=[])
-    with pytest.raises(IzooError, match=r"\[0, 1\]"):
-        Scenarios(adoption=1.2)
 
 
 def test_sampling_and_pickling():

@@ -1,16 +1,9 @@
 import numpy as np
 import pytest
 
+from izoo.contexts import procedural
 from izoo.contexts.distributions import Box
-from izoo.contexts.procedural import (
-    EASY,
-    SYSTEMATICITY_TEST,
-    SYSTEMATICITY_TEST_SAMPLE,
-    SYSTEMATICITY_TRAIN,
-    ProceduralSource,
-    procedural_context,
-    procedural_intersection,
-)
+from izoo.contexts.procedural import EASY, ProceduralSource, procedural_context, procedural_intersection
 
 
 def _shape_and_ranges(context):
@@ -78,20 +71,20 @@ def test_easy_is_one_fixed_context():
 
 
 def test_systematicity_test_grid_is_the_published_one():
-    assert len(SYSTEMATICITY_TEST) == 128
-    assert len({context.content_hash for context in SYSTEMATICITY_TEST}) == 128
-    assert all(_in_test_box(context) for context in SYSTEMATICITY_TEST)
+    assert len(procedural.SYSTEMATICITY_TEST) == 128
+    assert len({context.content_hash for context in procedural.SYSTEMATICITY_TEST}) == 128
+    assert all(_in_test_box(context) for context in procedural.SYSTEMATICITY_TEST)
     generator = np.random.default_rng(0)
-    assert all(_in_test_box(SYSTEMATICITY_TEST_SAMPLE.sample(generator)) for _ in range(200))
+    assert all(_in_test_box(procedural.SYSTEMATICITY_TEST_SAMPLE.sample(generator)) for _ in range(200))
 
 
 def test_systematicity_train_never_enters_the_test_box():
-    one, two = (SYSTEMATICITY_TRAIN.sample(np.random.default_rng(7)) for _ in range(2))
+    one, two = (procedural.SYSTEMATICITY_TRAIN.sample(np.random.default_rng(7)) for _ in range(2))
     assert one == two
     generator = np.random.default_rng(0)
     shapes = set()
     for _ in range(1500):
-        context = SYSTEMATICITY_TRAIN.sample(generator)
+        context = procedural.SYSTEMATICITY_TRAIN.sample(generator)
         assert not _in_test_box(context)
         values = _shape_and_ranges(context)
         shapes.add(values["shape"])

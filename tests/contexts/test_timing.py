@@ -8,16 +8,12 @@ from izoo.contexts.movements import conflict, deflection_deg, turn_of
 BEARINGS = {"A": 0.0, "B": 90.0, "C": 180.0, "D": 270.0}
 
 
-def _need(leg, phase_count, share, own_left=True):
-    exits = {}
-    for other, bearing in BEARINGS.items():
-        if other != leg:
-            exits.setdefault(turn_of(BEARINGS[leg], bearing), []).append((other, bearing))
-    return Need(BEARINGS[leg], {turn: tuple(exits[turn]) for turn in "rsl"}, phase_count, share, own_left)
-
-
 def _plan(*requirements):
-    needs = {leg: _need(leg, *values) for leg, values in zip(BEARINGS, requirements, strict=True)}
+    """The plan of a cross for what each leg needs: phases, share of green, and whether lefts have their own."""
+    needs = {}
+    for (leg, bearing), (phase_count, share, *own_left) in zip(BEARINGS.items(), requirements, strict=True):
+        exits = {turn_of(bearing, there): ((other, there),) for other, there in BEARINGS.items() if other != leg}
+        needs[leg] = Need(bearing, {turn: exits[turn] for turn in "rsl"}, phase_count, share, *(own_left or [True]))
     return build_plan([("A", "C"), ("B", "D")], needs, 3.0)
 
 

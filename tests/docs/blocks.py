@@ -1,7 +1,5 @@
 """The code blocks of the documentation: found, told apart, and turned into what a test runs."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 ``python -m tests.docs.run_page PAGE``; an exception names the page and the line.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import importlib

@@ -1,7 +1,5 @@
 """Every code block of the documentation works: Python runs, commands are understood by those they call."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -3,8 +3,6 @@
 They are written into a copy of the package with the very code that the page shows; nothing else in the copy changes.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -142,12 +140,12 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in INSTALLED_INSIDE:
         shutil.copytree(ROOT / name, copy / name, ignore=leave_out)
     reward, observation = copy / "envs" / "mdp" / "reward.py", copy / "envs" / "mdp" / "observation.py"
-    write_before(reward, "@dataclass(frozen=True)\nclass RewardConfig:", shown("def _power") + "\n\n")
+    write_before(reward, "@dataclass(frozen=True)\nclass RewardConfig(", shown("def _power") + "\n\n")
     write_before(
-        reward, "\n    def __post_init__", textwrap.indent(shown("power: float"), "    "), "class RewardConfig:"
+        reward, "\n    def __post_init__", textwrap.indent(shown("power: float"), "    "), "class RewardConfig("
     )
     write_before(observation, "EGO_COLUMNS = (", shown("def _accel") + "\n\n")
-    write_before(observation, ")\n\n\n", f"    {shown(r'Column')[:-1]},\n", "EGO_COLUMNS = (")
+    write_before(observation, ")\nNEIGHBOUR_COLUMNS", f"    {shown(r'Column')[:-1]},\n", "EGO_COLUMNS = (")
     tally = copy / "envs" / "mdp" / "metric_sums.py"
     named = shown('"hard_braking_s"').strip().replace('"  #', '",  #')
     write_before(tally, '    "due",', f"    {named}\n")

@@ -1,7 +1,5 @@
 """Reference pages agree with the code: TensorDict layout, options, commands, examples, navigation."""
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import functools
@@ -23,19 +21,14 @@ ROW = re.compile(r"^\| `(\([^`]+\)|\w+)` \| `\[([^`]*)\]` \| (\w+) \|", re.MULTI
 READ_IF_THERE = {("agents", "defer")}
 
 
-def documented_layout() -> dict[tuple[str, ...], tuple[str, str]]:
-    """Shape and type of every key, as the page has them."""
-    rows = {}
-    for key, shape, kind in ROW.findall((DOCS / "layout.md").read_text()):
-        name = ast.literal_eval(key) if key.startswith("(") else (key,)
-        assert name not in rows, f"{name} stands there twice"
-        rows[name] = (shape, kind)
-    return rows
-
-
-def emitted_layout() -> dict[tuple[str, ...], tuple[str, str]]:
-    """The same of environments that emit and read everything, with decisions in every step and once per vehicle."""
-    found = {}
+def test_layout() -> None:
+    """Of environments that emit and read everything, with decisions in every step and once per vehicle."""
+    documented: dict[tuple[str, ...], tuple[str, str]] = {}
+    for row, shape, kind in ROW.findall((DOCS / "layout.md").read_text()):
+        key = ast.literal_eval(row) if row.startswith("(") else (row,)
+        assert key not in documented, f"{key} stands there twice"
+        documented[key] = (shape, kind)
+    emitted = {}
     for options in ({"lane_change": True}, {"decide": "vehicle", "action": "speed"}):
         env = EcoDrivingEnv(config=EnvConfig(emit=EMIT_GROUPS, **options))  # type: ignore[arg-type]
         config = env.config
@@ -44,13 +37,9 @@ def emitted_layout() -> dict[tuple[str, ...], tuple[str, str]]:
         for spec in (env.observation_spec, env.full_action_spec, env.full_reward_spec, env.full_done_spec):
             for key in spec.keys(True, True):
                 shape = ", ".join(letters.get(size, str(size)) for size in spec[key].shape)
-                found[key if isinstance(key, tuple) else (key,)] = (shape, str(spec[key].dtype).removeprefix("torch."))
-    return found
-
-
-def test_layout() -> None:
-    documented = documented_layout()
-    assert {key: value for key, value in documented.items() if key not in READ_IF_THERE} == emitted_layout()
+                kind = str(spec[key].dtype).removeprefix("torch.")
+                emitted[key if isinstance(key, tuple) else (key,)] = (shape, kind)
+    assert {key: value for key, value in documented.items() if key not in READ_IF_THERE} == emitted
     assert documented.keys() >= READ_IF_THERE
 
 

@@ -1,7 +1,5 @@
 """Drivers who follow leaders by a plain IDM, written apart from the product's, as tables."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 

@@ -1,7 +1,5 @@
 """``python -m izoo.drivers calibrate``: from a file to a population that contexts take, and its exit codes."""
 
-from __future__ import annotations
-
 import json
 import re
 from importlib.resources import files
@@ -20,6 +18,7 @@ from izoo.contexts.population import read_population
 from izoo.drivers import estimate as estimating
 from izoo.drivers.mcmc import SamplerConfig
 from izoo.errors import IzooError
+from tests.conftest import Refused
 from tests.drivers.platoons import MEDIANS, SPREAD, platoon_table
 
 
@@ -88,12 +87,8 @@ def test_chains_that_do_not_move_have_a_result_that_did_not_converge() -> None:
     with np.errstate(invalid="ignore", divide="ignore"):
         quantities = tuple(estimating._quantity("median T_s", values) for values in (stuck, np.ones((4, 40))))
     assert not any(quantity.converged for quantity in quantities)
-    result: Any = SimpleNamespace(
-        data=SimpleNamespace(drivers=("a",), minutes=1.0, step_s=0.5),
-        diverging=160,
-        predictions=SimpleNamespace(coverage={0.5: 0.5}),
-        quantities=quantities[1:],
-    )
+    data, predictions = SimpleNamespace(drivers=("a",), minutes=1.0, step_s=0.5), SimpleNamespace(coverage={0.5: 0.5})
+    result: Any = SimpleNamespace(data=data, diverging=160, predictions=predictions, quantities=quantities[1:])
     content = estimating._provenance(result, SamplerConfig())
     json.dumps(content, allow_nan=False)
     assert content["quantities"]["median T_s"]["ess"] is None
@@ -111,22 +106,18 @@ def test_chains_that_do_not_move_have_a_result_that_did_not_converge() -> None:
     ],
 )
 def test_bad_input_is_a_sentence_and_exit_code_2(
-    words: list[str], message: str, pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, pairs: Path, tmp_path: Path, refused: Refused
 ) -> None:
-    words = [word.format(tmp_path, pairs) for word in words]
-    assert calibrate.main(["calibrate", *words]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert re.search(message, error)
-    assert list(tmp_path.iterdir()) == []
+    error = refused(calibrate.main, ["calibrate", *(word.format(tmp_path, pairs) for word in words)])
+    assert re.search(message, error) and list(tmp_path.iterdir()) == []
 
 
 def test_without_the_extra_it_says_what_to_install(
-    pairs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    pairs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     monkeypatch.setattr(calibrate, "PACKAGES", ("no_such_package",))
-    assert calibrate.main(["calibrate", str(pairs), "--out", str(tmp_path / "p.json")]) == 2
-    assert "pip install 'izoo[calibrate]'" in capsys.readouterr().err
+    words = ["calibrate", str(pairs), "--out", str(tmp_path / "p.json")]
+    refused(calibrate.main, words, "pip install 'izoo[calibrate]'")
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,7 @@
 """Trajectory files: every form gives the same pairs, and what cannot be right is refused by row, column and remedy."""
 
-from __future__ import annotations
-
 import gzip
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import pandas as pd
 import pytest
 
 from izoo.drivers.recorded_pairs import read_pairs
-from izoo.drivers.trajectories import ReadConfig, read_following
+from izoo.drivers.trajectories import Following, ReadConfig, read_following
 from izoo.errors import IzooError
 from tests.drivers.platoons import platoon_table
 
@@ -20,6 +19,10 @@ def written(table: pd.DataFrame, folder: Path, name: str = "pairs.csv") -> Path:
     path = folder / name
     table.to_csv(path, index=False)
     return path
+
+
+def read(table: pd.DataFrame, folder: Path, **options: Any) -> tuple[dict[str, Following], list[str]]:
+    return read_following([written(table, folder)], ReadConfig(**options))
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +47,7 @@ def convoy(vehicles: int = 12, steps: int = 50) -> pd.DataFrame:
 
 def test_pairs_become_steps_of_drivers(pairs: pd.DataFrame, tmp_path: Path) -> None:
     shuffled = pairs.sample(frac=1.0, random_state=0)
-    classes, notes = read_following([written(shuffled, tmp_path)], ReadConfig())
+    classes, notes = read(shuffled, tmp_path)
     data = classes["light"]
     assert set(classes) == {"light"} and notes == []
     assert (len(data.drivers), data.step_s) == (8, 0.5)
@@ -62,7 +65,7 @@ def test_finer_steps_are_thinned_and_missing_rows_split(pairs: pd.DataFrame, tmp
     fine = pairs.assign(time_s=pairs["time_s"] / 5.0)  # a step of 0.1 s
     fine["gap_m"] = 20.0 + 0.0 * fine["gap_m"]
     fine["leader_speed_mps"] = fine["speed_mps"]
-    classes, _ = read_following([written(fine.drop(index=[70]), tmp_path)], ReadConfig(step_s=0.2))
+    classes, _ = read(fine.drop(index=[70]), tmp_path, step_s=0.2)
     data = classes["light"]
     assert data.step_s == 0.2
     row = data.drivers.index("car1")
@@ -71,7 +74,7 @@ def test_finer_steps_are_thinned_and_missing_rows_split(pairs: pd.DataFrame, tmp
     assert moving["car1"] <= 27 < max(moving.values()) <= 29
     assert (~data.continues[row, : moving["car1"]]).sum() >= 2
     with pytest.raises(IzooError, match=r"--step-s is 0.25, but the step of .* is 0.1 s"):
-        read_following([written(fine, tmp_path)], ReadConfig(step_s=0.25))
+        read(fine, tmp_path, step_s=0.25)
 
 
 @pytest.mark.parametrize("rate_per_s", [30.0, 24.0, 60.0])
@@ -85,11 +88,11 @@ def test_times_may_be_rounded_to_milliseconds(rate_per_s: float, tmp_path: Path)
         about = {"driver": f"d{driver}", "time_s": time_s.round(3), "length_m": 5.0}
         tables.append(pd.DataFrame(about | {"gap_m": gap, "speed_mps": speed, "leader_speed_mps": leader}))
     table = pd.concat(tables, ignore_index=True)
-    data = read_following([written(table, tmp_path)], ReadConfig())[0]["light"]
+    data = read(table, tmp_path)[0]["light"]
     assert data.step_s == 0.5 and (data.used.sum(axis=1) == 39).all()
     table.loc[300, "time_s"] += 0.008
     with pytest.raises(IzooError, match=r"column time_s: .*; the step is 0.0\d+ s, and this row comes at another time"):
-        read_following([written(table, tmp_path)], ReadConfig())
+        read(table, tmp_path)
 
 
 def finer(table: pd.DataFrame, rate_per_s: float) -> pd.DataFrame:
@@ -112,7 +115,7 @@ SWAPPED = {"speed_mps": "leader_speed_mps", "leader_speed_mps": "speed_mps"}
 def test_units_are_checked_at_every_step(pairs: pd.DataFrame, rate_per_s: float, tmp_path: Path) -> None:
     """Within a tenth of a second gaps change by little, over a second and a half by as much as the speeds say."""
     right = finer(pairs, rate_per_s)
-    _, notes = read_following([written(right, tmp_path)], ReadConfig())
+    _, notes = read(right, tmp_path)
     assert not [note for note in notes if "unit" in note]
     for change, message in (
         (right.assign(gap_m=right["gap_m"] / 0.3048), "gaps change 3.3 times as fast.*feet"),
@@ -120,16 +123,14 @@ def test_units_are_checked_at_every_step(pairs: pd.DataFrame, rate_per_s: float,
         (right.rename(columns=SWAPPED), "gaps change -1 times as fast.*exchanged"),
     ):
         with pytest.raises(IzooError, match=message):
-            read_following([written(change, tmp_path)], ReadConfig())
+            read(change, tmp_path)
 
 
 def test_it_is_said_where_units_cannot_be_checked(pairs: pd.DataFrame, tmp_path: Path) -> None:
     steady = pairs.assign(speed_mps=12.0, leader_speed_mps=12.1)
-    _, notes = read_following([written(steady, tmp_path)], ReadConfig())
-    assert (
-        "units of" in notes[0]
-        and "were not checked: leaders and followers differ by more than 0.5 m/s over 0 s" in (notes[0])
-    )
+    _, notes = read(steady, tmp_path)
+    said = "were not checked: leaders and followers differ by more than 0.5 m/s over 0 s"
+    assert "units of" in notes[0] and said in notes[0]
 
 
 @pytest.mark.parametrize(
@@ -145,12 +146,12 @@ def test_positions_and_speeds_in_different_units(change: dict[str, float], messa
     table = convoy()
     table = table.assign(**{name: table[name] * factor for name, factor in change.items()})
     with pytest.raises(IzooError, match=message):
-        read_following([written(table, tmp_path)], ReadConfig())
+        read(table, tmp_path)
 
 
 def test_trajectories_of_all_vehicles_become_pairs(tmp_path: Path) -> None:
     table = convoy()
-    classes, _ = read_following([written(table, tmp_path)], ReadConfig())
+    classes, _ = read(table, tmp_path)
     assert set(classes) == {"light", "heavy"}
     assert classes["light"].drivers == ("v1", "v2", "v3", "v4", "v5")  # v0 has no leader
     assert classes["heavy"].drivers == ("v10", "v11", "v6", "v7", "v8", "v9")
@@ -190,13 +191,9 @@ def test_every_form_gives_the_same_pairs(form: str, tmp_path: Path) -> None:
         text = f"<fcd-export>{''.join(steps)}<timestep time='99'>{person}</timestep></fcd-export>".encode()
         path.write_bytes(gzip.compress(text) if form == "xml.gz" else text)
     elif form == "semicolons":
-        names = {
-            "vehicle": "vehicle_id",
-            "time_s": "timestep_time",
-            "position_m": "vehicle_pos",
-            "lane": "vehicle_lane",
-        }
-        other = table.rename(columns={**names, "speed_mps": "vehicle_speed", "length_m": "vehicle_length"})
+        names = {"vehicle": "vehicle_id", "position_m": "vehicle_pos", "lane": "vehicle_lane"}
+        names |= {"time_s": "timestep_time", "speed_mps": "vehicle_speed", "length_m": "vehicle_length"}
+        other = table.rename(columns=names)
         other.to_csv(path, index=False, sep=";")
         with path.open("a") as file:
             file.write(";25.0;;;;\n")  # a step in which nobody is there
@@ -218,10 +215,8 @@ def test_every_form_gives_the_same_pairs(form: str, tmp_path: Path) -> None:
         other["location"], other["stop_line_distance_m"] = 2, 10.0
         other.to_csv(path, index=False)
     got = read_pairs(path, None, 6.5)
-    pd.testing.assert_frame_equal(
-        got.drop(columns="row").sort_values(["driver", "time_s"], ignore_index=True),
-        expected.drop(columns="row").sort_values(["driver", "time_s"], ignore_index=True),
-    )
+    by = {"by": ["driver", "time_s"], "ignore_index": True}
+    pd.testing.assert_frame_equal(*(rows.drop(columns="row").sort_values(**by) for rows in (got, expected)))
 
 
 def test_the_approach_to_a_signal_in_izoos_own_tables_is_left_out(tmp_path: Path) -> None:
@@ -241,7 +236,7 @@ def test_drivers_of_two_files_are_different_ones(pairs: pd.DataFrame, tmp_path: 
 
 
 def test_more_drivers_than_asked_for_are_drawn_from(pairs: pd.DataFrame, tmp_path: Path) -> None:
-    classes, notes = read_following([written(pairs, tmp_path)], ReadConfig(max_drivers=5, seed=3))
+    classes, notes = read(pairs, tmp_path, max_drivers=5, seed=3)
     assert len(classes["light"].drivers) == 5
     assert "5 of 8 light drivers are used" in notes[0]
 
@@ -279,10 +274,7 @@ def at(row: int, column: str, value: Any) -> Any:
         (lambda t: t.assign(vehicle_class="lorry"), r"row 2, column vehicle_class: 'lorry'; write light or heavy"),
         (lambda t: t.assign(time_s=t["time_s"] * 10.0), r"column time_s: a step of 5 s is too coarse"),
         (lambda t: t.assign(gap_m=t["gap_m"] / 0.3048), r"gaps change 3.2 times as fast as the speeds say.*feet"),
-        (
-            lambda t: t.rename(columns={"speed_mps": "leader_speed_mps", "leader_speed_mps": "speed_mps"}),
-            r"gaps change -0.99 times.*exchanged",
-        ),
+        (lambda t: t.rename(columns=SWAPPED), r"gaps change -0.99 times.*exchanged"),
         (lambda t: t.drop_duplicates("driver"), r"every driver has one row"),
         (lambda t: t.iloc[:0], r"has a header but no rows"),
     ],
@@ -307,7 +299,7 @@ def test_pairs_that_cannot_be_right(change: Any, message: str, pairs: pd.DataFra
 )
 def test_trajectories_that_cannot_be_right(change: Any, message: str, tmp_path: Path) -> None:
     with pytest.raises(IzooError, match=message):
-        read_following([written(change(convoy()), tmp_path)], ReadConfig())
+        read(change(convoy()), tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -336,8 +328,6 @@ def test_no_pickle_is_ever_opened(tmp_path: Path) -> None:
     class Trap:
         def __reduce__(self) -> Any:
             return (Path.touch, (tmp_path / "sprung",))
-
-    import pickle
 
     for name in ("evil.csv", "evil.pkl"):
         path = tmp_path / name

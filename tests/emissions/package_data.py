@@ -3,8 +3,6 @@
 That needs ``pip install --no-deps neuralmoves==0.4.0``: the package asks for numpy below 2 but runs with any.
 """
 
-from __future__ import annotations
-
 import importlib.metadata
 import importlib.util
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Random states and the rates that the package ``neuralmoves`` gives them, of ``rates.npy``."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 from pathlib import Path

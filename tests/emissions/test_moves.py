@@ -1,7 +1,6 @@
 """The batched module: parity with neuralmoves, masks, shapes, compilation."""
 
 import math
-import shutil
 
 import pytest
 import torch
@@ -87,19 +86,6 @@ def test_a_class_outside_the_table_is_an_error():
     classes[3] = 99
     with pytest.raises(IzooError, match=r"run from \d+ to 99; they must lie in \[0, 98\]"):
         MODULE(speed, accel, grade, classes, 20.0, 46.0)
-
-
-@pytest.mark.parametrize("backend", ["aot_eager", pytest.param("inductor", marks=pytest.mark.slow)])
-def test_compiles_into_one_graph(backend):
-    if backend == "inductor" and not (shutil.which("g++") or shutil.which("clang++")):
-        pytest.skip("torch.compile needs a C++ compiler on the CPU")
-    clean = states(4, 30)
-    mask = torch.rand(4, 30, generator=torch.Generator().manual_seed(5)) < 0.5
-    torch.compiler.reset()
-    compiled = torch.compile(MODULE, backend=backend, fullgraph=True)
-    rates = compiled(*noisy(mask, clean), 20.0, 46.0, mask)
-    assert (rates[~mask] == 0.0).all()
-    torch.testing.assert_close(rates, MODULE(*clean, 20.0, 46.0, mask), rtol=1e-5, atol=0.0)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")

@@ -1,7 +1,5 @@
 """A net written by hand, vehicles placed on it, and environments that are closed after the test."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Drivers whose outcomes are compared, and their outcomes on the twin by an evaluation's measure."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable
 from typing import Any, NamedTuple

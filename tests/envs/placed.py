@@ -1,7 +1,5 @@
 """Vehicles placed by hand on the hand-written net, for tests of the compiled functions without SUMO."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,15 +11,7 @@ from izoo.envs.mdp.frame import frame_bytes, map_frames, row_of
 from izoo.envs.mdp.observation import EGO_FEATURES, NEIGHBOUR_FEATURES, NEIGHBOURS, neighbour_columns
 from izoo.envs.mdp.observation_kernel import write_observations
 from izoo.envs.mdp.signals import clock_tables, read_clock
-from izoo.envs.mdp.state import (
-    WORLD,
-    Demand,
-    Rules,
-    World,
-    empty_tables,
-    open_world,
-    working_memory,
-)
+from izoo.envs.mdp.state import WORLD, Demand, Rules, World, empty_tables, open_world, working_memory
 from izoo.envs.mdp.step import update_vehicles
 from izoo.envs.tables import compiled, directory
 from izoo.networks.road import RoadNet
@@ -111,11 +101,8 @@ class Scene:
             self.vehicles[name][self.rows] = column
         self.tables.members[: len(self.rows)] = self.rows
         self.tables.cursor["members"] = len(self.rows)
-        world = (
-            self.world((), neighbour_columns(()), np.zeros((self.road.movement_turn.size, 0)), np.inf)
-            if world is None
-            else world
-        )
+        if world is None:
+            world = self.world((), neighbour_columns(()), np.zeros((self.road.movement_turn.size, 0)), np.inf)
         words = directory(world, WORLD)
         _update(words.ctypes.data)
 

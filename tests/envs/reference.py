@@ -1,7 +1,5 @@
 """What the ``sumo`` program makes of the files of an episode."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 from collections import defaultdict

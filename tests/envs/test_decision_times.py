@@ -1,7 +1,5 @@
 """Decisions once per vehicle: when a CV must decide, how long its decision holds, and how long a step lasts."""
 
-from __future__ import annotations
-
 import contextlib
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -174,14 +172,14 @@ def test_each_environment_plays_what_it_plays_alone(surrogate: str, drain_s: flo
         assert drain_s == 0.0 or len(set(counts)) > 1
 
 
-@pytest.mark.parametrize("kind", KINDS)
+PARTS = [("acceleration", ("speed",)), ("speed", ("speed",)), ("speed", ("speed_before", "speed_behind"))]
+
+
 @pytest.mark.parametrize(
-    ("action", "parts"),
-    [("acceleration", ("speed",)), ("speed", ("speed",)), ("speed", ("speed_before", "speed_behind"))],
+    ("kind", "action", "parts"), [*((kind, *what) for kind in KINDS[::2] for what in PARTS), (KINDS[1], *PARTS[-1])]
 )
 def test_specs(make: Make, kind: Any, action: str, parts: tuple[str, ...]) -> None:
-    decides = ("step", "vehicle", "vehicle_and_line") if kind == KINDS[0] else ("vehicle",)
-    for decide in decides:
+    for decide in ("step", "vehicle", "vehicle_and_line") if kind == KINDS[0] else ("vehicle",):
         config = scope(decide, action=action, action_parts=parts, horizon_s=30.0)
         with contextlib.closing(make(*kind, config=config)) as env:
             check_env_specs(env)

@@ -1,7 +1,5 @@
 """Decisions that last several steps: trajectories, sums of rewards, CVs that leave or enter during a decision."""
 
-from __future__ import annotations
-
 import contextlib
 from collections import defaultdict
 
@@ -76,9 +74,8 @@ def test_a_decision_equals_its_steps(decisions: TensorDict) -> None:
             torch.testing.assert_close(value, decisions[-1]["next", "metrics", "approach", name], msg=name)
         episode = decisions[-1]["next", "metrics", "episode"]
         torch.testing.assert_close(following["metrics", "episode", "return"], episode["return"])
-    gone = {
-        n for f in decisions.unbind(0) for n, t in zip(numbers(f), f["next", "agents", "terminated"], strict=True) if t
-    }
+    left = ((numbers(frame), frame["next", "agents", "terminated"]) for frame in decisions.unbind(0))
+    gone = {number for held, over in left for number, end in zip(held, over, strict=True) if end}
     assert gone == ended and len(gone) > 5
 
 

@@ -1,7 +1,5 @@
 """Vehicles that SUMO drops because they could not enter the network: counted, and not reported on the terminal."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import subprocess
@@ -10,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from izoo.contexts.context import Context
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv
 from izoo.envs.sumo.session import sumo_arguments
 from izoo.envs.sumo.stderr_filter import StderrFilter
@@ -23,21 +20,17 @@ CONFIG = EnvConfig(horizon_s=90.0, warmup_s=10.0, emit=("metrics",))
 DROPPED = "will not be able to depart"
 
 
-def _said_by_sumo(context: Context, seed: int, folder: Path) -> str:
-    """Return what the program ``sumo`` says about the same episode."""
-    net, routes = build_net(context.intersection), folder / "routes.rou.xml"
-    write_routes(sample_traffic(context, read_road(net), seed, CONFIG.horizon_s), read_road(net), routes)
-    program = Path(os.environ["SUMO_HOME"]) / "bin" / "sumo"
-    arguments = [*sumo_arguments(net, routes, seed, CONFIG.step_s), "--end", f"{CONFIG.horizon_s:g}"]
-    return subprocess.run([str(program), *arguments], capture_output=True, text=True, check=True).stderr
-
-
 def test_dropped_vehicles_are_counted(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     with contextlib.closing(EcoDrivingEnv(cramped(), config=CONFIG)) as env:
         frames = play(env, CONFIG.control_steps, defer, env.reset(context=cramped(), seed=1))
     assert "Error" not in capfd.readouterr().err
     metrics = {name: value[-1].numpy() for name, value in frames["next", "metrics", "approach"].items()}
-    lost = [line for line in _said_by_sumo(cramped(), 1, tmp_path).splitlines() if DROPPED in line]
+    net, routes = build_net(cramped().intersection), tmp_path / "routes.rou.xml"
+    write_routes(sample_traffic(cramped(), read_road(net), 1, CONFIG.horizon_s), read_road(net), routes)
+    program = Path(os.environ["SUMO_HOME"]) / "bin" / "sumo"
+    arguments = [*sumo_arguments(net, routes, 1, CONFIG.step_s), "--end", f"{CONFIG.horizon_s:g}"]
+    said = subprocess.run([str(program), *arguments], capture_output=True, text=True, check=True).stderr
+    lost = [line for line in said.splitlines() if DROPPED in line]
     ways = [line.split("lane '")[1][0] for line in lost]
     assert len(lost) > 5
     assert metrics["dropped"][:4].tolist() == [ways.count(leg) for leg in "ABCD"]

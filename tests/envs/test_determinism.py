@@ -1,7 +1,5 @@
 """A context and a seed determine an episode, for any number of processes, environments and threads, and any history."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 from typing import Any
@@ -64,9 +62,6 @@ def test_same_after_other_episodes_on_sumo() -> None:
     assert again == play_alone(crossing())
 
 
-# -- several environments ----------------------------------------------------------------------------------------------
-
-
 def schedule() -> RandomSchedule:
     return RandomSchedule(ContextList([crossing(), crossing(lane_count=1, adoption=1.0)]), SEED)
 
@@ -122,9 +117,7 @@ def test_same_after_other_episodes_on_the_twin(make_twin: MakeTwin) -> None:
     """Episodes in another order, begun anew in the middle."""
     env = make_twin(2, schedule())
     env.reset()
-    state = env.reset(episode=[3, 1])
-    for _ in range(7):
-        _, state = env.step_and_maybe_reset(steer(state))
+    play(env, 7, start=env.reset(episode=[3, 1]))
     frames = play(env, env.config.control_steps, start=env.reset(episode=[2, 0]))
     assert by_episode(frames) == {number: expected("twin")[number] for number in (0, 2)}
 

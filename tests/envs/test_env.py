@@ -1,10 +1,6 @@
 """The TorchRL environments on both simulators: specs, steps, resets, seeds, and errors that say what to do."""
 
-from __future__ import annotations
-
 import contextlib
-import subprocess
-import sys
 from typing import Any
 
 import pytest
@@ -67,9 +63,6 @@ def test_works_without_arguments() -> None:
         assert env.config.control_steps == 1950
 
 
-# -- stepping ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("kind", [KINDS[0], KINDS[2]])
 def test_own_stepping_equals_torchrls(make: Make, kind: Any) -> None:
     """``step_and_maybe_reset`` gives what TorchRL's own version gives, over the end of an episode."""
@@ -95,13 +88,8 @@ def test_rollout_goes_on_with_the_next_episode(make: Make) -> None:
     counted = frames["next", "metrics", "episode", "steps"].flatten().tolist()
     assert counted == [*range(1, steps + 1), *range(1, steps + 1), *range(1, 4)]
     assert not frames["metrics", "approach", "entered"][steps].any()
-
-
-def test_rollout_goes_on_when_an_agent_leaves(make: Make) -> None:
-    env = make(config=short(horizon_s=100.0))
-    frames = env.rollout(env.config.control_steps + 50, policy=defer)
-    assert len(frames) == env.config.control_steps
-    assert frames["next", "agents", "terminated"].any()
+    frames = env.rollout(steps + 50, policy=defer)
+    assert len(frames) == steps and frames["next", "agents", "terminated"].any(), "agents leave, and it goes on"
 
 
 def test_transforms_see_every_episode(make: Make) -> None:
@@ -129,9 +117,6 @@ def test_frames_own_their_memory(make: Make) -> None:
         kept.append((frame, frame.clone()))
         frame["next", "agents", "mask"].share_memory_()
     assert all(same(frame, as_it_was) for frame, as_it_was in kept)
-
-
-# -- resets and seeds --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", KINDS[1:])
@@ -192,12 +177,8 @@ def test_the_base_seed_decides(make: Make) -> None:
 def test_shards_share_the_episodes_of_a_schedule(make: Make, simulator: str) -> None:
     def episodes(num_envs: int, **shards: int) -> list[tuple[int, int]]:
         with contextlib.closing(make(simulator, num_envs, **shards)) as env:
-            parts = [env.reset()["context"] for _ in range(2)]
-        return [
-            pair
-            for c in parts
-            for pair in zip(c["episode"].flatten().tolist(), c["seed"].flatten().tolist(), strict=True)
-        ]
+            played = torch.cat([env.reset()["context"] for _ in range(2)])
+        return list(zip(*(played[name].flatten().tolist() for name in ("episode", "seed")), strict=True))
 
     whole, parts = episodes(4), [episodes(2, shard=shard, num_shards=2) for shard in range(2)]
     assert [episode for episode, _ in parts[1]] == [2, 3, 6, 7]
@@ -205,12 +186,14 @@ def test_shards_share_the_episodes_of_a_schedule(make: Make, simulator: str) -> 
 
 
 @pytest.mark.parametrize("simulator", ["sumo", "twin"])
-def test_wrong_shards_are_refused(make: Make, simulator: str) -> None:
+def test_wrong_shards_and_too_few_approaches_are_refused(make: Make, simulator: str) -> None:
     for wrong in ({"shard": 2, "num_shards": 2}, {"shard": -1}, {"num_shards": 0}, {"num_shards": 2}, {"shard": 1.5}):
         with pytest.raises(IzooError, match=next(iter(wrong)) if len(wrong) == 1 else "shard"):
             make(simulator, 2, **wrong)
     with pytest.raises(IzooError, match=r"num_workers is 4, and .*; give worker=k, too"):
         make(simulator, num_workers=4)
+    with pytest.raises(IzooError, match="set it to 4 or more"):
+        make(simulator, config=short(num_approaches=2)).reset()
 
 
 @pytest.mark.parametrize("simulator", ["sumo", "twin"])
@@ -247,9 +230,6 @@ def test_render_shows_the_present_state(make: Make, simulator: str) -> None:
         _, state = env.step_and_maybe_reset(defer(state))
     assert before.shape == (640, 640, 3) and (env.render() != before).any()
     assert len(env.scene().vehicles["speed_mps"]) == int(state["vehicles", "present"].sum())
-
-
-# -- errors ------------------------------------------------------------------------------------------------------------
 
 
 @each_kind
@@ -306,19 +286,6 @@ def test_a_forgotten_environment_frees_libsumo() -> None:
         env.reset()
 
 
-@pytest.mark.parametrize("simulator", ["sumo", "twin"])
-def test_too_few_approaches_are_refused(make: Make, simulator: str) -> None:
-    with pytest.raises(IzooError, match="set it to 4 or more"):
-        make(simulator, config=short(num_approaches=2)).reset()
-
-
-def test_worker_processes_do_not_import_torch() -> None:
-    workers = "izoo.envs.sumo.simulator, izoo.envs.sumo.worker, izoo.envs.twin.runtime.preparers"
-    program = f"import {workers}, sys; print('torch' in sys.modules)"
-    output = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
-    assert output.stdout.strip() == "False"
-
-
 def test_observed_features_have_one_order(make: Make) -> None:
     for observed in (("adoption", "green_s"), ("green_s", "adoption")):
         with contextlib.closing(make(config=short(observed=observed))) as env:
@@ -331,7 +298,5 @@ def test_observed_features_have_one_order(make: Make) -> None:
 
 @each_kind
 def test_specs_below_transforms(make: Make, kind: Any) -> None:
-    transforms = Compose(
-        RewardSum(in_keys=[("agents", "reward")], out_keys=[("agents", "episode_reward")]), StepCounter(max_steps=20)
-    )
-    check_env_specs(TransformedEnv(make(*kind), transforms))
+    sums = RewardSum(in_keys=[("agents", "reward")], out_keys=[("agents", "episode_reward")])
+    check_env_specs(TransformedEnv(make(*kind), Compose(sums, StepCounter(max_steps=20))))

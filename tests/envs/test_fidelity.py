@@ -1,7 +1,5 @@
 """An uncommanded episode equals that of the ``sumo`` program with the same files, step by step."""
 
-from __future__ import annotations
-
 import contextlib
 from collections import defaultdict
 from pathlib import Path

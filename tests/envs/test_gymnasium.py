@@ -1,9 +1,6 @@
 """The Gymnasium views: Gymnasium's own checks, the ego's episodes, vector environments, and what is refused."""
 
-from __future__ import annotations
-
 import contextlib
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -58,19 +55,21 @@ def test_gymnasiums_own_check(env: Env) -> None:
     check_env(env)
 
 
-def test_importing_registers_without_torch() -> None:
-    program = (
-        "import sys, gymnasium; gymnasium.make('izoo.envs:izoo/EcoDriving-v0'); "
-        "gymnasium.spec('izoo/EcoDrivingEgo-v0'); sys.exit('torch' in sys.modules or 'libsumo' in sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
+REFUSED_RESETS: dict[str, dict[str, Any]] = {
+    "unknown reset option 'episodes'.*Did you mean 'episode'": {"episodes": 3},
+    "'context' is a str; give an izoo Context": {"context": "pcg"},
+    "the reset option 'episode' is 2.9; it must be a whole number from 0": {"episode": 2.9},
+    "'episode' is -1": {"episode": -1},
+    "'episode_seed' is 1.5; it must be a whole number from 0": {"episode_seed": 1.5},
+    "'episode_seed'": {"episode_seed": None},
+}
 
 
 def test_reset_begins_the_next_the_seeded_or_the_chosen_episode(joint: Env) -> None:
     first, again = joint.reset(seed=3)[1], joint.reset(seed=3)[1]
     assert first["episode"] == again["episode"] == 0 and first["episode_seed"] == again["episode_seed"]
-    for wrong in ({"episode": -1}, {"episode_seed": None}):
-        with pytest.raises(IzooError, match="'episode"):
+    for message, wrong in REFUSED_RESETS.items():
+        with pytest.raises(IzooError, match=message):
             joint.reset(seed=7, options=wrong)  # which leaves the schedule unchanged
     following = joint.reset()[1]
     assert following["episode"] == 1 and following["episode_seed"] != first["episode_seed"]
@@ -193,9 +192,6 @@ def test_ego_names_the_reason_if_no_cv_can_enter(context: Context, horizon_s: fl
         env.reset(seed=0)
 
 
-# -- vector environments -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("name", "mode"), [(JOINT, None), (EGO, None), pytest.param(EGO, "async", marks=pytest.mark.slow)]
 )
@@ -223,13 +219,8 @@ def test_a_vector_begins_the_next_episode_in_the_step_after_an_end() -> None:
         observation, rewards, *_, truncated, info = envs.step(envs.action_space.sample())
         assert not truncated.any() and not rewards.any() and info["episode"].tolist() == [1, 1]
         assert observation in envs.observation_space
-        with pytest.raises(IzooError, match=r"3 seeds.*2 environments"):
-            envs.reset(seed=[1, 2, 3])
         with pytest.raises(IzooError, match="unknown reset option"):
             envs.reset(options={"what": 1})
-
-
-# -- what is refused ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -302,20 +293,6 @@ def test_a_lost_process_is_replaced(joint: Any) -> None:
     joint.step(forward(joint))
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"episodes": 3}, "unknown reset option 'episodes'.*Did you mean 'episode'"),
-        ({"context": "pcg"}, "'context' is a str; give an izoo Context"),
-        ({"episode": 2.9}, "the reset option 'episode' is 2.9; it must be a whole number from 0"),
-        ({"episode_seed": 1.5}, "'episode_seed' is 1.5; it must be a whole number from 0"),
-    ],
-)
-def test_bad_reset_options_are_refused(joint: Env, options: dict[str, Any], message: str) -> None:
-    with pytest.raises(IzooError, match=message):
-        joint.reset(options=options)
-
-
 def test_bad_options_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
@@ -337,5 +314,4 @@ def test_bad_options_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_twin_renders() -> None:
     with view(JOINT, simulator="twin", render_mode="rgb_array") as env:
         env.reset(seed=0)
-        picture = env.render()
-        assert isinstance(picture, np.ndarray) and picture.shape == (640, 640, 3) and picture.std() > 0.0
+        assert env.render().shape == (640, 640, 3) and env.render().std() > 0.0

@@ -1,7 +1,5 @@
 """Invalid options and calls: refused with a message, and the environment stays as it was."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

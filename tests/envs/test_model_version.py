@@ -3,8 +3,6 @@
 After raising it, record: ``python -m tests.envs.test_model_version``.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

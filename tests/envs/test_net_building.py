@@ -1,7 +1,5 @@
 """The nets of environments that begin together are built in one call of netconvert."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

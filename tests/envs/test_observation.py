@@ -1,7 +1,5 @@
 """Observations number by number, with vehicles placed by hand."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -27,9 +25,6 @@ def assert_sees(seen: dict[str, float], which: str, gap_m: float, speed: float) 
     assert got["present"] == got["lane_exists"] == 1.0
     assert got["distance"] == pytest.approx(gap_m / 250.0, abs=1e-6)
     assert got["speed"] == pytest.approx(speed / 15.0)
-
-
-# -- ego ---------------------------------------------------------------------------------------------------------------
 
 
 def test_ego_approaching(scene: Scene) -> None:
@@ -83,9 +78,6 @@ def test_empty_slots_are_zero(scene: Scene) -> None:
     assert not out[[0, 2]].any() and out[1].any()
 
 
-# -- signal ------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("way", "lane", "time_s", "expected"),
     [
@@ -102,9 +94,6 @@ def test_signal_of_the_own_movement(
     assert [seen["signal_green"], seen["signal_yellow"], seen["signal_red"]] == expected[0]
     clock = [seen["signal_time_left"], seen["signal_second_green"], seen["signal_third_green"]]
     assert clock == pytest.approx([value / 100.0 for value in expected[1:]])
-
-
-# -- neighbours --------------------------------------------------------------------------------------------------------
 
 
 def test_leader_and_follower_on_the_own_lane(scene: Scene) -> None:
@@ -124,6 +113,9 @@ def test_leader_through_and_inside_the_junction(scene: Scene) -> None:
     assert_sees(scene.see(me), "leader", 10.0 + 8.0 + 12.0 + 30.0 - 6.0, 7.0)
     scene.put(":TL_9_0", 2.0, speed=2.0, way="AB")
     assert_sees(scene.see(me), "leader", 10.0 + 8.0 + 2.0 - 5.0, 2.0)
+    other = scene.put("A2TL_intern_0", 95.0, way="AC")
+    scene.put("TL2C_0", 8.0, speed=4.0, way="BC")  # from another approach
+    assert_sees(scene.see(other), "leader", 5.0 + 20.0 + 8.0 - 5.0, 4.0)
 
 
 def test_leader_through_the_split_depends_on_the_way(scene: Scene) -> None:
@@ -137,10 +129,12 @@ def test_leader_through_the_split_depends_on_the_way(scene: Scene) -> None:
     assert_sees(scene.see(left), "leader", 50.0 + 1.0 + 40.0 - 5.0, 2.0)
 
 
-def test_vehicles_on_other_ways_do_not_lead(scene: Scene) -> None:
-    """A vehicle that crosses the junction from B does not lead one that goes straight on from A."""
-    me = scene.put("A2TL_intern_1", 99.0, way="AC")
-    scene.put(":TL_5_0", 10.0, way="BC")
+@pytest.mark.parametrize("case", [("A2TL_intern_1", "AC", ":TL_5_0", 5.0), ("A2TL_intern_0", "AB", "TL2C_0", 25.0)])
+def test_vehicles_on_other_ways_and_exits_do_not_lead(scene: Scene, case: tuple[str, str, str, float]) -> None:
+    """Even if the rear of one that came from B reaches as far back as that of a vehicle from the own lane."""
+    lane, way, other, length = case
+    me = scene.put(lane, 95.0, way=way)
+    scene.put(other, 2.0, way="BC", length=length)
     assert neighbour(scene.see(me), "leader") == ABSENT | {"lane_exists": 1.0}
 
 
@@ -154,19 +148,6 @@ def test_a_turning_vehicle_leads_until_its_rear_has_left_the_lane(scene: Scene) 
     assert_sees(scene.see(me), "leader", 10.0 + 1.0 + 3.5 - 5.0, 6.0)
     scene.move(ahead, "A2TL_intern_1", 50.0, 6.0)
     assert_sees(scene.see(me), "leader", 10.0 + 1.0 + 50.0 - 5.0, 6.0)
-
-
-def test_a_vehicle_on_another_exit_does_not_lead(scene: Scene) -> None:
-    """Even if its rear reaches as far back as that of a vehicle from the own lane."""
-    me = scene.put("A2TL_intern_0", 95.0, way="AB")
-    scene.put("TL2C_0", 2.0, way="BC", length=25.0)
-    assert neighbour(scene.see(me), "leader") == ABSENT | {"lane_exists": 1.0}
-
-
-def test_leader_on_the_exit_from_another_approach(scene: Scene) -> None:
-    me = scene.put("A2TL_intern_0", 95.0, way="AC")
-    scene.put("TL2C_0", 8.0, speed=4.0, way="BC")
-    assert_sees(scene.see(me), "leader", 5.0 + 20.0 + 8.0 - 5.0, 4.0)
 
 
 def test_follower_comes_along_the_own_way_through_the_junction(scene: Scene) -> None:
@@ -270,9 +251,8 @@ def test_chosen_neighbours(scene: Scene, chosen: tuple[str, ...]) -> None:
 
 def test_context_features_come_last_and_by_movement(scene: Scene) -> None:
     features = np.arange(12.0).reshape(2, 3, 2)
-    out = scene.look(
-        scene.put("A2TL_1", 10.0, way="AB"), scene.put("B2TL_0", 10.0, way="BC"), features=features, neighbours=()
-    )
+    rows = scene.put("A2TL_1", 10.0, way="AB"), scene.put("B2TL_0", 10.0, way="BC")
+    out = scene.look(*rows, features=features, neighbours=())
     assert out[:, -2:].tolist() == [[2.0, 3.0], [10.0, 11.0]]
 
 
@@ -281,22 +261,11 @@ def test_every_context_feature(road: RoadNet) -> None:
     spec = IntersectionSpec("hand/1", "procedural", tuple(Leg(n, 0.0, approach, 1, 100.0, 15.0) for n in "ABC"))
     context = Context(spec, adoption=0.5, engine="electric", temperature_c=30.0, humidity_pct=80.0)
     table = observed_table(context, road, OBSERVED)
-    expected = {
-        "adoption": 0.5,
-        "green_s": 36.0 / 100.0,
-        "red_s": 29.0 / 100.0,
-        "temperature_c": 30.0 / 40.0,
-        "humidity_pct": 80.0 / 100.0,
-        "engine": 1.0,
-        "lane_count": 3.0 / 4.0,
-        "lane_length_m": 301.0 / 250.0,
-        "speed_limit_mps": 15.0 / 15.0,
-    }
-    assert dict(zip(OBSERVED, table[0, 1].tolist(), strict=True)) == pytest.approx(expected)
-    assert dict(zip(OBSERVED, table[1, 2].tolist(), strict=True)) == pytest.approx(
-        expected
-        | {"green_s": 0.2, "red_s": 0.45, "lane_count": 0.25, "lane_length_m": 150.0 / 250.0, "speed_limit_mps": 0.8}
-    )
+    expected = {"adoption": 0.5, "temperature_c": 30.0 / 40.0, "humidity_pct": 80.0 / 100.0, "engine": 1.0}
+    of_a = {"green_s": 0.36, "red_s": 0.29, "lane_count": 3 / 4, "lane_length_m": 301 / 250, "speed_limit_mps": 1.0}
+    of_b = {"green_s": 0.2, "red_s": 0.45, "lane_count": 0.25, "lane_length_m": 150 / 250, "speed_limit_mps": 0.8}
+    assert dict(zip(OBSERVED, table[0, 1].tolist(), strict=True)) == pytest.approx(expected | of_a)
+    assert dict(zip(OBSERVED, table[1, 2].tolist(), strict=True)) == pytest.approx(expected | of_b)
     assert observed_table(context, road, ("humidity_pct",)).shape == (2, 3, 1)
     assert observed_table(context, road, ()).shape == (2, 3, 0)
 

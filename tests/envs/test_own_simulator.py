@@ -1,7 +1,5 @@
 """A further simulator is a folder, here :mod:`tests.envs.toy_simulator`, and a line in ``izoo.envs.SIMULATORS``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -16,8 +14,8 @@ from tests.envs.worlds import crossing
 
 @pytest.fixture(autouse=True)
 def toy(monkeypatch: pytest.MonkeyPatch) -> None:
-    home = "tests.envs.toy_simulator"
-    monkeypatch.setitem(envs.SIMULATORS, "toy", Simulator("the toy", f"{home}:single", f"{home}:ToyEnv", batched=True))
+    line = Simulator("the toy", "tests.envs.toy_simulator:ToyBackend", batched=True)
+    monkeypatch.setitem(envs.SIMULATORS, "toy", line)
 
 
 @pytest.mark.parametrize("n", [None, 3])

@@ -1,7 +1,5 @@
 """The PettingZoo view: PettingZoo's own tests, agents that enter and leave, the state, and what is refused."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 from collections.abc import Iterator
@@ -77,7 +75,7 @@ def test_a_reset_gives_agents() -> None:
     rare = crossing(inflow_vph_per_lane=100.0, adoption=0.05)
     with contextlib.closing(parallel_env(rare, short(horizon_s=40.0), simulator="twin")) as env:
         skipped = 0
-        for seed in range(6):
+        for seed in range(3):
             _, infos = env.reset(seed=seed)
             assert env.agents and set(infos) == set(env.agents)
             skipped += infos[env.agents[0]]["episode"]

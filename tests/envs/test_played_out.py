@@ -1,7 +1,5 @@
 """Episodes that are played out after their horizon, and their measure: CO2 and delay of the cohort."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 from pathlib import Path
@@ -33,8 +31,6 @@ CONFIG = EnvConfig(horizon_s=200.0, warmup_s=30.0, drain_s=600.0, emit=("metrics
 COHORT = tuple(name for name in APPROACH_METRICS if name.startswith("cohort"))
 TO_HORIZON = tuple(name for name in APPROACH_METRICS if "cohort" not in name)
 Sums = dict[str, np.ndarray]
-
-
 hurry = constant(1.0)
 
 
@@ -62,8 +58,6 @@ def co2_g(sums: Sums) -> float:
     """The measure of an episode, g per vehicle of the cohort."""
     return float((sums["cohort_region_co2_g"] + sums["cohort_blocked_co2_g"]).sum() / sums["cohort"].sum())
 
-
-# -- the sums, vehicle by vehicle --------------------------------------------------------------------------------------
 
 NETS = {
     "one lane": lane(),
@@ -159,9 +153,6 @@ def test_sums_equal_those_of_sumos_own_output(context: Context, tmp_path: Path) 
         np.testing.assert_allclose(sums[name], values, rtol=2e-4, atol=1e-2, err_msg=name)
 
 
-# -- rewards and the measure -------------------------------------------------------------------------------------------
-
-
 def test_gaming_the_papers_measure_worsens_the_own_measure_and_the_reward() -> None:
     """Keeping vehicles out, blocking the road, and shifting CO2 from before the stop line to behind it.
 
@@ -173,7 +164,7 @@ def test_gaming_the_papers_measure_worsens_the_own_measure_and_the_reward() -> N
     def contexts(adoption: float) -> list[Context]:
         return [
             lane(adoption=adoption, inflow_vph_per_lane=200.0, lane_length_m=length, green_s=green, red_s=red)
-            for length in (150.0, 250.0, 350.0)
+            for length in (150.0, 350.0)
             for green, red in ((30.0, 30.0), (40.0, 25.0))
         ]
 
@@ -200,7 +191,7 @@ def test_team_rewards_add_up_to_the_measure(changes: dict[str, Any], hold_s: flo
     busy = crossing(lane_count=1, inflow_vph_per_lane=800.0, **changes)
     with contextlib.closing(EcoDrivingEnv(busy, config=config)) as env:
         state, team = env.reset(context=busy, seed=SEED), 0.0
-        unit_g = float(env.backend.episode._world.rules["fleet_g_per_step"])  # type: ignore[attr-defined]
+        unit_g = float(env.backend.simulation().episode._world.rules["fleet_g_per_step"])  # type: ignore[attr-defined]
         while not state["done"].item():
             state = env.step_lean(hurry(state))
             team += float(state["team_reward"])
@@ -211,19 +202,12 @@ def test_team_rewards_add_up_to_the_measure(changes: dict[str, Any], hold_s: flo
     assert -team * unit_g == pytest.approx((grams + 0.5 * seconds).sum(), rel=1e-5)
 
 
-# -- the cohort, the horizon and the end -------------------------------------------------------------------------------
-
-
 def test_the_cohort_is_the_same_under_every_policy() -> None:
     """For human driving, too, and on both simulators."""
     busy = crossing(lane_count=1, inflow_vph_per_lane=700.0, adoption=0.5)
-    drivers = {
-        "uncommanded": defer,
-        "hurrying": hurry,
-        "glide": lambda state: glide()(state, 0.0),
-        "blocking": lambda state: driving(standing)(state, 0.0),
-    }
-    cohorts = [sums_of(play_out(busy, act, simulator="twin"))["cohort"] for act in drivers.values()]
+    smoothly, blocking = glide(), driving(standing)
+    drivers: tuple[Driver, ...] = (defer, hurry, lambda s: smoothly(s, 0.0), lambda s: blocking(s, 0.0))
+    cohorts = [sums_of(play_out(busy, act, simulator="twin"))["cohort"] for act in drivers]
     cohorts.append(sums_of(play_out(busy.replace(adoption=0.0)))["cohort"])
     road = read_road(build_net(busy.intersection))
     traffic = sample_traffic(busy, road, SEED, CONFIG.horizon_s)
@@ -253,14 +237,11 @@ def test_sums_to_the_horizon_are_those_of_an_episode_that_ends_there(simulator: 
     assert (steps - last) % 3 == 0, "the grid of decisions begins anew at the horizon"
     for name in TO_HORIZON:
         assert sums[name].tolist() == theirs[name].tolist(), name
-    assert (
-        sums["unfinished"].sum() > 0 and sums["cohort_left"].sum() == sums["cohort"].sum() > theirs["cohort_left"].sum()
-    )
+    assert sums["cohort_left"].sum() == sums["cohort"].sum() > theirs["cohort_left"].sum() and sums["unfinished"].any()
     assert same(drained["vehicles"], ended["vehicles"])
     assert torch.equal(drained["agents", "observation"], ended["agents", "observation"])
-    assert (
-        drained["agents", "mask"].any() and not drained["agents", "done"].any() and ended["agents", "truncated"].any()
-    )
+    assert drained["agents", "mask"].any() and not drained["agents", "done"].any()
+    assert ended["agents", "truncated"].any()
 
 
 def test_both_simulators_end_in_the_same_step_with_the_same_sums() -> None:
@@ -300,9 +281,6 @@ def test_dropped_vehicles_belong_to_the_cohort() -> None:
     assert sums["dropped"].sum() > 5 and steps_of(frame) < CONFIG.total_steps
     assert (sums["cohort"] - sums["cohort_left"] >= sums["dropped"]).all()
     assert sums["cohort_blocked_s"].sum() > 100.0 * sums["dropped"].sum()
-
-
-# -- many side by side -------------------------------------------------------------------------------------------------
 
 
 def contexts_of_several_lengths(number: int) -> tuple[Context, int]:

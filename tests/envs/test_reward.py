@@ -1,7 +1,5 @@
 """The reward: the rewards of an episode against the equation in torch, CO2 against the surrogate."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import replace
 
@@ -77,9 +75,8 @@ def individual_terms(vehicles, accel_before, config, limits):  # type: ignore[no
     there = vehicles["present"]
     part = vehicles[there]
     v, a = part["speed_mps"], part["accel_mps2"]
-    before = torch.tensor(
-        [accel_before.get(n, x) for n, x in zip(part["vehicle_number"].tolist(), a.tolist(), strict=True)]
-    )
+    numbers = part["vehicle_number"].tolist()
+    before = torch.tensor([accel_before.get(n, x) for n, x in zip(numbers, a.tolist(), strict=True)])
     stopped = (v < config.tau_mps).float() * ((config.tau_mps - v) / config.tau_mps if config.soft_stop else 1.0)
     delay = 0.5 * (1.0 - v / limits[part["region_lane"].long()].float()).clamp(min=0.0)
     terms = torch.stack([v, stopped, part["emission_g"], -a.abs(), -(a - before).abs(), delay], -1)
@@ -87,22 +84,20 @@ def individual_terms(vehicles, accel_before, config, limits):  # type: ignore[no
     ttc = torch.where(part["has_leader"] & (closing > 0), part["leader_gap_m"].clamp(min=0.0) / closing, 10.0)
     shortest = min(10.0, ttc.min().item()) if len(ttc) else 10.0
     mean = terms.mean(0) if len(terms) else torch.zeros(6)
-    return dict(zip(part["vehicle_number"].tolist(), terms, strict=True)), mean, shortest
+    return dict(zip(numbers, terms, strict=True)), mean, shortest
 
 
 @pytest.mark.parametrize("engine", ["combustion", "electric"])
 def test_emission_equals_the_surrogates(engine: str) -> None:
     """Every vehicle's CO2 is that of the batched surrogate for its emitted state; electric CVs emit nothing."""
-    with contextlib.closing(
-        EcoDrivingEnv(crossing(engine=engine, temperature_c=31.0, grade=0.03), config=short(), seed=2)
-    ) as env:
+    context = crossing(engine=engine, temperature_c=31.0, grade=0.03)
+    with contextlib.closing(EcoDrivingEnv(context, config=short(), seed=2)) as env:
         frames = episode(env)["next"]
     v, context = frames["vehicles"], frames["context"]
     active = v["present"] & ~(v["is_cv"] & (engine == "electric"))
     weather = (context["temperature_c"].expand_as(v["speed_mps"]), context["humidity_pct"].expand_as(v["speed_mps"]))
-    rate = MovesSurrogate()(
-        v["speed_mps"], v["accel_mps2"], v["grade_pct"], v["moves_class"].long(), *weather, mask=active
-    )
+    motion = v["speed_mps"], v["accel_mps2"], v["grade_pct"]
+    rate = MovesSurrogate()(*motion, v["moves_class"].long(), *weather, mask=active)
     torch.testing.assert_close(v["emission_g"], rate * 0.5, rtol=1e-3, atol=1e-5)
     assert (v["emission_g"][active] > 0).all()
     assert (v["emission_g"][v["present"] & v["is_cv"]] == 0).all() == (engine == "electric")
@@ -130,11 +125,10 @@ def test_blocked_vehicles_count_as_idling_inside(engine: str, burning: list[floa
 def test_vehicles_that_left_during_the_warm_up_are_not_blocked() -> None:
     config = short(warmup_s=100.0, horizon_s=300.0, reward=RewardConfig.fuel_team())
     for simulator in SIMULATORS:
-        with contextlib.closing(
-            EcoDrivingEnv(crossing(inflow_vph_per_lane=200.0, adoption=0.0), config=config, simulator=simulator)
-        ) as env:
+        context = crossing(inflow_vph_per_lane=200.0, adoption=0.0)
+        with contextlib.closing(EcoDrivingEnv(context, config=config, simulator=simulator)) as env:
             play(env, config.control_steps - 1, defer)
-            run = env.backend if simulator == "sumo" else env.backend._runs[0]  # type: ignore[attr-defined]
+            run = env.backend.simulation() if simulator == "sumo" else env.backend._runs[0]  # type: ignore[attr-defined]
             tables = run.episode.tables
             status, arrival_step = tables.demand["status"], tables.demand["arrival_step"]
             assert (arrival_step == 0).sum() > 5 and ((status == ENTERED) == (arrival_step != NEVER)).all()

@@ -1,7 +1,5 @@
 """The ``fuel`` rewards order drivers as an evaluation's measure does."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import itertools
@@ -68,7 +66,7 @@ def test_own_rewards_add_up_to_the_teams() -> None:
     config = dataclasses.replace(CONFIG, horizon_s=225.0)
     with contextlib.closing(EcoDrivingEnv(everyone, config=config)) as env:
         state = env.reset(context=everyone, seed=4)
-        world = env.backend.episode._world  # type: ignore[attr-defined]
+        world = env.backend.simulation().episode._world  # type: ignore[attr-defined]
         scale = float(world.unit_g[0] / float(world.rules["fleet_g_per_step"]))
         for _ in range(config.decisions):
             asked = state["agents", "mask"].clone()

@@ -1,7 +1,5 @@
 """Random actions over the full range: no CV runs a red light, and CVs collide no more than uncommanded."""
 
-from __future__ import annotations
-
 import contextlib
 from collections import Counter
 from collections.abc import Iterator
@@ -15,13 +13,15 @@ from izoo.contexts.source import ContextList
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.networks.clock import GREEN, RED, YELLOW
 from izoo.networks.road import RoadNet
-from tests.envs.worlds import Driver, at_random, crossing, defer, play, set_action
+from tests.envs.worlds import Driver, at_random, crossing, defer, set_action
 from tests.networks.test_clock import signal_links
 
 
 def totals(env: EcoDrivingEnv, context: Context, seed: int, act: Driver) -> Counter[str]:
-    frames = play(env, env.config.control_steps, act, env.reset(context=context, seed=seed))
-    sums = frames["next", "metrics", "approach"][-1]
+    state = env.reset(context=context, seed=seed)
+    while not state["done"].item():
+        state = env.step_lean(act(state))
+    sums = state["metrics", "approach"]
     return Counter({name: float(value.sum()) for name, value in sums.items() if name != "mask"})
 
 
@@ -58,7 +58,7 @@ def test_red_crossings_are_noticed() -> None:
     ) as env:
         state = env.reset()
         for _ in range(env.config.control_steps - 1):
-            for name in env.backend.ids.row_of:
+            for name in env.backend.simulation().row_of:
                 libsumo.vehicle.setSpeedMode(name, 0)
             frame, state = env.step_and_maybe_reset(flat_out(state))
         sums = frame["next", "metrics", "approach"]

@@ -1,7 +1,5 @@
 """Slots of agents and vehicles: vehicles that leave and enter, the horizon, and too few slots."""
 
-from __future__ import annotations
-
 import contextlib
 
 import pytest
@@ -147,7 +145,7 @@ def test_no_vehicle_of_a_crowd_is_lost() -> None:
     config = EnvConfig(horizon_s=260.0, warmup_s=5.0, num_agents=8, num_vehicles=16)
     with contextlib.closing(EcoDrivingEnv(crowded, config=config)) as env:
         frames = play(env, 380, defer)
-        tables, members = env.backend.episode.tables, env.backend.episode.members
+        tables, members = env.backend.simulation().episode.tables, env.backend.simulation().episode.members
     assert frames["next", "metrics", "episode", "vehicle_steps"].diff(dim=0).max() > 256
     approach, vehicles = frames["next", "metrics", "approach"][-1], tables.vehicles[members]
     unfinished = int(((vehicles["counted"] == 1) & (vehicles["crossed"] == 0)).sum())
@@ -166,5 +164,5 @@ def test_a_vehicle_that_passes_its_approach_within_a_step_is_found() -> None:
         for _ in range(env.config.control_steps - 1):
             _, state = env.step_and_maybe_reset(defer(state))
             region |= {name for edge in edges for name in simulator.session.on_edge(edge)}
-            known |= set(simulator.ids.row_of)
+            known |= set(simulator.simulation().row_of)
     assert len(region) > 50 and known == region

@@ -1,7 +1,5 @@
 """Desired speeds as actions: 1 is uncommanded, and lower ones have the same effect in SUMO and on the twin."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 from collections.abc import Callable
@@ -60,14 +58,13 @@ def motion(frames: TensorDict) -> list[dict[int, tuple[float, float]]]:
 
 
 @pytest.mark.parametrize("simulator", SIMULATORS)
-@pytest.mark.parametrize("parts", [("speed",), ("speed_before", "stop")])
-def test_a_share_of_1_is_uncommanded(simulator: str, parts: tuple[str, ...]) -> None:
+def test_a_share_of_1_is_uncommanded(simulator: str) -> None:
     """Bit for bit, also on several lanes."""
-    ours = episode(simulator, crossing(), speeds(action_parts=parts), constant(1.0, parts=len(parts)))
-    theirs = episode(simulator, crossing(), speeds(action="acceleration"), defer)
-    left_out = [("agents", "action"), ("agents", "defer")]
-    assert same(ours.exclude(*left_out), theirs.exclude(*left_out))
-    assert digest(ours) == digest(theirs)
+    left_out, horizon = [("agents", "action"), ("agents", "defer")], {"horizon_s": 150.0}
+    theirs = episode(simulator, crossing(), speeds(action="acceleration", **horizon), defer)
+    for parts in (("speed",), ("speed_before", "stop")):
+        ours = episode(simulator, crossing(), speeds(action_parts=parts, **horizon), constant(1.0, parts=len(parts)))
+        assert same(ours.exclude(*left_out), theirs.exclude(*left_out)) and digest(ours) == digest(theirs)
 
 
 def assert_same_motion(context: Context, config: EnvConfig, act: Callable[[], Act]) -> list[dict[int, Any]]:
@@ -96,7 +93,7 @@ def test_sumo_and_twin_drive_alike(features: dict[str, Any], act: Callable[[], A
 
 
 def test_sumo_and_twin_drive_alike_with_a_speed_before_and_one_behind_the_line() -> None:
-    config = speeds(action_parts=("speed_before", "speed_behind"))
+    config = speeds(horizon_s=150.0, action_parts=("speed_before", "speed_behind"))
     steps = assert_same_motion(one_lane(adoption=0.5), config, lambda: two_parts)
     free = [speed for step in steps for number, (x, speed) in step.items() if number % 2 and x < -30.0]
     assert max(free) > 0.9 * LIMIT_MPS
@@ -170,16 +167,16 @@ def test_drivers_that_command_accelerations_are_refused(name: str) -> None:
 
 
 def test_wrong_options_and_actions_are_refused() -> None:
-    with pytest.raises(IzooError, match="one on either side"):
-        EnvConfig(action="speed", action_parts=("speed", "speed_behind"))
-    with pytest.raises(IzooError, match="stop may be added"):
-        EnvConfig(action="speed", action_parts=("stop",))
-    with pytest.raises(IzooError, match=r"env\.action=speed"):
-        EnvConfig(action_parts=("speed_before", "speed_behind"))
-    with pytest.raises(IzooError, match="lane_change"):
-        EnvConfig(action="speed", lane_change=True)
-    with pytest.raises(IzooError, match=r"env\.action"):
-        EnvConfig(action="velocity")
+    wrong: list[tuple[str, dict[str, Any]]] = [
+        ("one on either side", {"action": "speed", "action_parts": ("speed", "speed_behind")}),
+        ("stop may be added", {"action": "speed", "action_parts": ("stop",)}),
+        (r"env\.action=speed", {"action_parts": ("speed_before", "speed_behind")}),
+        ("lane_change", {"action": "speed", "lane_change": True}),
+        (r"env\.action", {"action": "velocity"}),
+    ]
+    for message, options in wrong:
+        with pytest.raises(IzooError, match=message):
+            EnvConfig(**options)
     with (
         contextlib.closing(EcoDrivingEnv(config=speeds(), worker=0, simulator="twin")) as env,
         pytest.raises(IzooError, match="shares of the speed limit"),

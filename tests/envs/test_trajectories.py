@@ -1,12 +1,11 @@
 """Trajectory export: the same numbers as the rollout, one row per vehicle and step."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 
 import pandas as pd
 import pytest
+import torch
 
 from izoo.contexts.procedural import procedural_context
 from izoo.emissions.moves import MovesSurrogate
@@ -18,17 +17,14 @@ CONFIG = {"horizon_s": 120.0, "warmup_s": 5.0}
 
 
 def test_the_table_holds_every_vehicle_with_class_and_emission(tmp_path: Path) -> None:
-    with contextlib.closing(
-        EcoDrivingEnv(procedural_context(inflow_vph_per_lane=600.0, grade=0.03), config=EnvConfig(**CONFIG))
-    ) as env:
+    context = procedural_context(inflow_vph_per_lane=600.0, grade=0.03)
+    with contextlib.closing(EcoDrivingEnv(context, config=EnvConfig(**CONFIG))) as env:
         rollout = env.rollout(1000, auto_reset=True)
     table = pd.read_csv(write_trajectories(rollout, tmp_path / "trajectories.csv"))
     assert len(table) == int(rollout["next", "vehicles", "present"].sum()) > 100
     assert list(tmp_path.iterdir()) == [tmp_path / "trajectories.csv"]
     assert set(table["fuel"]) <= {"gasoline", "diesel"}
     assert table["model_year"].between(2009, 2019).all()
-    import torch
-
     column = {name: torch.tensor(table[name].to_numpy()) for name in ("speed_mps", "accel_mps2", "grade_pct")}
     rate = MovesSurrogate()(*(c.float() for c in column.values()), torch.tensor(table["moves_class"]), 20.0, 46.0)
     assert torch.allclose(0.5 * rate.double(), torch.tensor(table["emission_g"]), rtol=1e-3, atol=1e-4)

@@ -1,7 +1,5 @@
 """The twin environment: it emits what SUMO's environments emit, and checks its options."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +19,6 @@ from tests.envs.conftest import MakeTwin
 from tests.envs.test_determinism import schedule
 from tests.envs.twin.crossroads import build_crossroads, meeting
 from tests.envs.worlds import Driver, at_random, crossing, defer, one_lane, play, play_on, same, short, steer
-
-# -- the same MDP as behind SUMO ---------------------------------------------------------------------------------------
 
 
 def briskly(tensordict: TensorDictBase) -> TensorDictBase:
@@ -63,11 +59,9 @@ def test_every_key_equals_sumos(act: Driver, seed: int, changes: dict[str, Any],
     finally:
         for env in envs:
             env.close()
-    assert compared > 70
-    assert ours["metrics", "approach", "entered"].sum() > 3
-    assert ours["metrics", "approach", "agent_steps"].sum() > 100
-    assert ours["done"].all()
-    assert not roads or blinking > 100
+    sums = ours["metrics", "approach"]
+    assert compared > 70 and sums["entered"].sum() > 3 and sums["agent_steps"].sum() > 100
+    assert ours["done"].all() and (not roads or blinking > 100)
 
 
 def assert_close(ours: TensorDictBase, theirs: TensorDictBase, step: int) -> int:
@@ -127,13 +121,13 @@ def test_an_interrupted_environment_needs_a_reset(
     assert same(ours, theirs)
 
 
-# -- what is counted ---------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("changes", [{}, {"inflow_vph_per_lane": 900.0}, {"lane_count": 3, "adoption": 1.0}])
 def test_vehicle_counts_add_up(make_twin: MakeTwin, changes: dict[str, Any]) -> None:
     env = make_twin(2, crossing(**changes), config=short(horizon_s=120.0))
-    last = play(env, env.config.control_steps)[:, -1]["next", "metrics", "approach"]
+    state = env.reset()
+    while not state["done"].all():
+        state = env.step_lean(steer(state))
+    last = state["metrics", "approach"]
     reached = sum(last[name] for name in ("dropped", "waiting", "outside", "early", "entered"))
     assert torch.equal(last["due"], reached) and (last["due"] > 5).any()
     assert torch.equal(last["entered"], last["crossed"] + last["unfinished"])
@@ -154,12 +148,8 @@ def test_lost_tails_are_reported(make_twin: MakeTwin, caplog: pytest.LogCaptureF
     env = make_twin(2)
     state = env.reset()
     env.backend._runs[1].driving.state.clock["lost_tails"] = 3
-    for _ in range(env.config.control_steps):
-        _, state = env.step_and_maybe_reset(steer(state))
+    play_on(env, env.config.control_steps, steer, state)
     assert [record.getMessage().count("3 times; there the twin forgot it") for record in caplog.records] == [1]
-
-
-# -- bad input ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -189,8 +179,6 @@ def test_a_bad_context_raises_when_its_episode_begins(make_twin: MakeTwin) -> No
     """Also when another thread prepares it."""
     negative = lambda number: (crossing(), 5 if number < 2 else -1)  # noqa: E731
     env = make_twin(2, negative)
-    state = env.reset()
-    for _ in range(env.config.control_steps - 1):
-        _, state = env.step_and_maybe_reset(steer(state))
+    _, state = play_on(env, env.config.control_steps - 1, steer, env.reset())
     with pytest.raises(IzooError, match="episode seed is -1"):
         env.step_and_maybe_reset(steer(state))

@@ -1,7 +1,5 @@
 """The exact state of environments on the twin: saved, loaded, branched, and refused where it does not fit."""
 
-from __future__ import annotations
-
 import contextlib
 import copy
 from collections.abc import Callable
@@ -15,16 +13,14 @@ from izoo.envs.config import EMIT_GROUPS, RewardConfig
 from izoo.errors import IzooError
 from tests.envs.conftest import Make, MakeTwin
 from tests.envs.test_determinism import schedule
-from tests.envs.worlds import crossing, play, same, short, steer
+from tests.envs.worlds import crossing, play, play_on, same, short, steer
 
 
 def test_a_loaded_state_goes_on_bit_for_bit(make_twin: MakeTwin) -> None:
     """Over the end of the episodes, with every key, whatever the environment did before."""
     options = {"config": short(emit=EMIT_GROUPS)}
     env, other = make_twin(3, schedule(), **options), make_twin(3, schedule(), threads=2, **options)
-    state = env.reset()
-    for _ in range(41):
-        _, state = env.step_and_maybe_reset(steer(state))
+    _, state = play_on(env, 41, steer, env.reset())
     saved = env.state_dict()
     whole = play(env, 90, start=state)
     play(other, 7)
@@ -34,9 +30,8 @@ def test_a_loaded_state_goes_on_bit_for_bit(make_twin: MakeTwin) -> None:
     assert whole["next", "done"].any() and set(whole.keys(True, True)) == set(resumed.keys(True, True))
     for key in whole.keys(True, True):
         assert torch.equal(whole[key], resumed[key]), key
-    assert [tensor.tolist() for tensor in env.state_dict()["packed"]] == [
-        tensor.tolist() for tensor in other.state_dict()["packed"]
-    ]
+    for ours, theirs in zip(env.state_dict()["packed"], other.state_dict()["packed"], strict=True):
+        assert torch.equal(ours, theirs)
 
 
 def test_an_agent_that_leaves_right_after_loading_is_cleared(make_twin: MakeTwin) -> None:
@@ -58,9 +53,7 @@ def test_an_agent_that_leaves_right_after_loading_is_cleared(make_twin: MakeTwin
 
 def test_branches_begin_equal_and_are_independent(make_twin: MakeTwin) -> None:
     env = make_twin(2, schedule())
-    state = env.reset()
-    for _ in range(20):
-        _, state = env.step_and_maybe_reset(steer(state))
+    _, state = play_on(env, 20, steer, env.reset())
     with contextlib.closing(env.branch(3)) as branches:
         begin = branches.present()
         for copy in range(6):

@@ -1,7 +1,5 @@
 """The tables behind a frame, with vehicles placed by hand: motion, lanes, grades, leaders."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,28 +9,26 @@ from tests.envs.placed import STEP_S, Scene
 
 
 def test_speed_and_acceleration(scene: Scene) -> None:
+    v = scene.vehicles
     me = scene.put("A2TL_0", 50.0, speed=10.0)
-    scene.vehicles["accel_mps2"][me] = 1.5  # as the simulator writes it for a new vehicle
-    scene.vehicles["fresh"][me] = 1
+    v["accel_mps2"][me] = 1.5  # as the simulator writes it for a new vehicle
+    v["fresh"][me] = 1
     scene.read()
-    assert (scene.vehicles["accel_mps2"][me], scene.vehicles["prev_accel_mps2"][me]) == (1.5, 1.5)
+    assert (v["accel_mps2"][me], v["prev_accel_mps2"][me]) == (1.5, 1.5)
     scene.move(me, "A2TL_0", 55.0, 9.0)
     scene.read()
-    assert (scene.vehicles["accel_mps2"][me], scene.vehicles["prev_accel_mps2"][me]) == ((9.0 - 10.0) / STEP_S, 1.5)
+    assert (v["accel_mps2"][me], v["prev_accel_mps2"][me]) == ((9.0 - 10.0) / STEP_S, 1.5)
     scene.move(me, "A2TL_0", 60.0, 9.0)
     scene.read()
-    assert (scene.vehicles["accel_mps2"][me], scene.vehicles["prev_accel_mps2"][me]) == (0.0, -2.0)
+    assert (v["accel_mps2"][me], v["prev_accel_mps2"][me]) == (0.0, -2.0)
 
 
 def test_lane_columns(scene: Scene) -> None:
+    v = scene.vehicles
     me = scene.put("A2TL_intern_2", 30.0, way="AB")
     scene.read()
-    assert (
-        scene.vehicles["lane"][me] == 2
-        and scene.vehicles["movement"][me] == LEFT
-        and scene.vehicles["location"][me] == APPROACHING
-    )
-    assert scene.vehicles["lane_position_m"][me] == 30.0 and scene.vehicles["stop_line_distance_m"][me] == -70.0
+    assert (v["lane"][me], v["movement"][me], v["location"][me]) == (2, LEFT, APPROACHING)
+    assert (v["lane_position_m"][me], v["stop_line_distance_m"][me]) == (30.0, -70.0)
 
 
 @pytest.mark.parametrize(
@@ -49,9 +45,10 @@ def test_lane_columns(scene: Scene) -> None:
     ],
 )
 def test_lanes_that_do_not_lead_to_the_exit_are_marked(scene: Scene, lane: str, way: str, wrong: int) -> None:
+    v = scene.vehicles
     me = scene.put(lane, 1.0, way=way)
     scene.read()
-    assert scene.vehicles["wrong_lane"][me] == wrong
+    assert v["wrong_lane"][me] == wrong
 
 
 @pytest.mark.parametrize(
@@ -73,31 +70,26 @@ def test_lanes_that_do_not_lead_to_the_exit_are_marked(scene: Scene, lane: str, 
 )
 def test_grade_is_the_mean_under_the_vehicle(scene: Scene, lane: str, position: float, way: str, grade: float) -> None:
     """From back to front along its way, as SUMO takes it; the vehicle is 4 m long."""
+    v = scene.vehicles
     me = scene.put(lane, position, way=way, length=4.0)
     scene.read()
-    assert scene.vehicles["grade_pct"][me] == pytest.approx(grade, abs=5e-3)
+    assert v["grade_pct"][me] == pytest.approx(grade, abs=5e-3)
 
 
 def test_leader_columns_and_time_to_collision(scene: Scene) -> None:
+    v = scene.vehicles
     fast = scene.put("A2TL_0", 100.0, speed=14.0)
     slow = scene.put("A2TL_0", 135.0, speed=4.0)
     scene.put("A2TL_1", 101.0, speed=0.0)
     scene.read()
-    assert scene.vehicles["has_leader"][fast] == 1
-    assert (scene.vehicles["leader_gap_m"][fast], scene.vehicles["leader_speed_mps"][fast]) == (30.0, 4.0)
-    assert scene.vehicles["ttc_s"][fast] == pytest.approx(30.0 / 10.0)
-    assert (
-        scene.vehicles["has_leader"][slow] == 0
-        and scene.vehicles["leader_gap_m"][slow] == scene.vehicles["leader_speed_mps"][slow] == 0.0
-    )
-    assert scene.vehicles["ttc_s"][slow] == np.inf
-
-
-def test_time_to_collision_is_infinite_unless_closing_and_0_in_contact(scene: Scene) -> None:
-    me = scene.put("A2TL_0", 100.0, speed=4.0)
-    other = scene.put("A2TL_0", 135.0, speed=4.0)
+    assert v["has_leader"][fast] == 1
+    assert (v["leader_gap_m"][fast], v["leader_speed_mps"][fast]) == (30.0, 4.0)
+    assert v["ttc_s"][fast] == pytest.approx(30.0 / 10.0)
+    assert v["has_leader"][slow] == v["leader_gap_m"][slow] == v["leader_speed_mps"][slow] == 0.0
+    assert v["ttc_s"][slow] == np.inf
+    scene.move(fast, "A2TL_0", 100.0, 4.0)
     scene.read()
-    assert scene.vehicles["ttc_s"][me] == np.inf
-    scene.move(other, "A2TL_0", 103.0, 0.0)
+    assert v["ttc_s"][fast] == np.inf, "unless they close"
+    scene.move(slow, "A2TL_0", 103.0, 0.0)
     scene.read()
-    assert scene.vehicles["leader_gap_m"][me] == -2.0 and scene.vehicles["ttc_s"][me] == 0.0
+    assert v["leader_gap_m"][fast] == -2.0 and v["ttc_s"][fast] == 0.0, "in contact"

@@ -1,7 +1,5 @@
 """The views and the TorchRL environment play the same episode: same context, seed and actions, same trajectories."""
 
-from __future__ import annotations
-
 import contextlib
 import pickle
 from typing import Any, NamedTuple
@@ -37,7 +35,7 @@ class Expected(NamedTuple):
 @pytest.fixture(scope="module", params=[(name, lanes) for name in SIMULATORS for lanes in (False, True)])
 def expected(request: pytest.FixtureRequest) -> Expected:
     simulator, lane_change = request.param
-    config = short(horizon_s=80.0, lane_change=lane_change)
+    config = short(lane_change=lane_change)
     schedule = RoundRobinSchedule([crossing()], SEED)
     with contextlib.closing(EcoDrivingEnv(schedule, config=config, simulator=simulator)) as env:
         frames = episode(env, steer_and_change if lane_change else steer)
@@ -115,7 +113,7 @@ def test_ego(expected: Expected) -> None:
                 assert positions_now(env.session) == expected.positions[step["time_s"]]
                 ended, compared = terminated or truncated, compared + 1
             observation, info = env.reset()
-        assert compared > 60
+        assert compared > 50
 
 
 @pytest.mark.parametrize(
@@ -131,7 +129,7 @@ def test_a_fresh_view_can_be_pickled(make: str, simulator: str) -> None:
         "ego": lambda: views.gymnasium.EcoDrivingEgo,
         "agents": lambda: views.pettingzoo.parallel_env,
     }[make]()
-    env = made(crossing(), short(horizon_s=80.0), simulator=simulator)
+    env = made(crossing(), short(), simulator=simulator)
     with contextlib.closing(env), contextlib.closing(pickle.loads(pickle.dumps(env))) as other:
         assert str(env.reset(seed=4)) == str(other.reset(seed=4))
         seen = 0

@@ -1,7 +1,5 @@
 """Worker processes that die, hang or meet a broken net, and parents that end in every way."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import functools
@@ -163,9 +161,6 @@ def test_memory_of_a_worker_does_not_grow() -> None:
             resident_kib += [int(line.split()[1]) for line in lines if line.startswith("VmRSS")]
         assert env.restarts == 0
     assert resident_kib[-1] / resident_kib[14] < 1.03
-
-
-# -- the end -----------------------------------------------------------------------------------------------------------
 
 
 def shared_segments(pids: set[int]) -> set[Path]:

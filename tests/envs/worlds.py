@@ -1,7 +1,5 @@
 """Contexts, drivers and helpers that the tests of the environments share."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 from collections.abc import Callable
@@ -16,6 +14,7 @@ from izoo.contexts.procedural import procedural_context
 from izoo.envs import EnvConfig, SumoParallelEnv
 from izoo.envs.env import EcoDrivingBase
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, MOVEMENT_METRICS
+from tests.networks.worlds import with_approaches
 
 _COHORT = (name for name in APPROACH_METRICS if name.startswith("cohort"))
 UNHASHED = ("due", "dropped", "outside", "early", *_COHORT, *MOVEMENT_METRICS)
@@ -46,15 +45,9 @@ def one_lane(**changes: Any) -> Context:
 def cramped(lanes: int = 4, road_m: float = 40.0, source_m: float = 10.0) -> Context:
     """Legs and sources too short for the lane changes that some vehicles need, and to stop at a red light."""
     context = crossing(lane_count=lanes, lane_length_m=60.0)
-    spec = context.intersection
-    legs = tuple(
-        dataclasses.replace(leg, approach=dataclasses.replace(leg.approach, length_m=road_m)) if leg.approach else leg
-        for leg in spec.legs
-    )
+    spec = with_approaches(context.intersection, "ABCD", length_m=road_m)
     ghosts = dataclasses.replace(spec.ghosts, straight_source_length_m=source_m, turning_source_length_m=source_m)
-    return context.replace(
-        intersection=dataclasses.replace(spec, name="cramped", source="osm", legs=legs, ghosts=ghosts)
-    )
+    return context.replace(intersection=dataclasses.replace(spec, name="cramped", source="osm", ghosts=ghosts))
 
 
 def short(**changes: Any) -> EnvConfig:

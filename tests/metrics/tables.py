@@ -1,8 +1,7 @@
 """Tables of episodes with chosen numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
+from typing import Any
 
 import pandas as pd
 
@@ -70,8 +69,6 @@ def compared(
         for policy, values in savings.items():
             delay_s = 20.0 + (delays or {}).get(policy, 0.0) * (1.0 + 0.01 * k)
             for train_seed in range(seeds.get(policy, 1)) if k < len(values) else ():
-                co2_g = (100.0 + k) * (1.0 - values[k] / 100.0)
-                rows.append(
-                    episode_row(co2_g, delay_s, policy=policy, context=f"x/{k}/A", train_seed=train_seed, **settings)  # type: ignore[arg-type]
-                )
+                of: Any = {"policy": policy, "context": f"x/{k}/A", "train_seed": train_seed, **settings}
+                rows.append(episode_row((100.0 + k) * (1.0 - values[k] / 100.0), delay_s, **of))
     return pd.DataFrame(rows)

@@ -1,7 +1,5 @@
 """Intervals of a single intersection: the paired t of its episode seeds, and said to be that."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -31,9 +29,8 @@ def test_the_interval_of_delay_is_the_paired_t_of_the_seeds() -> None:
     table = played(np.random.default_rng(1), 8)
     summary = summarise(table)
     found = summary["entries"]["ppo"]["against"]["uncommanded"]["unsaturated"]["figures"]["delay_change_s"]
-    sums = table.assign(delay=table["cohort_region_delay_s"] + table["cohort_blocked_s"]).pivot(
-        index="seed", columns="policy", values="delay"
-    )
+    table["delay"] = table["cohort_region_delay_s"] + table["cohort_blocked_s"]
+    sums = table.pivot(index="seed", columns="policy", values="delay")
     apart = (sums["ppo"] - sums["uncommanded"]) / 10.0
     half = student_t_quantile(0.975, 7) * apart.std(ddof=1) / np.sqrt(8)
     assert (found["low"], found["high"]) == pytest.approx((apart.mean() - half, apart.mean() + half))
@@ -41,19 +38,14 @@ def test_the_interval_of_delay_is_the_paired_t_of_the_seeds() -> None:
     assert "over its episode seeds" in summary["verdict"] and "8 episode seeds of this intersection" in counts(summary)
 
 
-@pytest.mark.parametrize(("seeds", "places"), [(MIN_EPISODE_SEEDS - 1, 1), (8, 2)])
-def test_there_is_none_with_few_seeds_or_with_two_intersections(seeds: int, places: int) -> None:
-    summary = summarise(played(np.random.default_rng(1), seeds, places=places))
-    found = summary["entries"]["ppo"]["against"]["uncommanded"]["unsaturated"]["figures"]
-    assert {each["low"] for each in found.values()} == {None}
-
-
-def test_there_is_none_where_training_seeds_were_played_with_other_episode_seeds() -> None:
-    tables = [played(np.random.default_rng(k), 8).assign(train_seed=k) for k in range(2)]
-    tables[1]["seed"] += 100
-    table = pd.concat(tables)
-    found = summarise(table)["entries"]["ppo"]["against"]["uncommanded"]["unsaturated"]["figures"]
-    assert {each["low"] for each in found.values()} == {None}
+def test_there_is_none_with_few_seeds_two_intersections_or_other_episodes_for_each_training_seed() -> None:
+    trained = [played(np.random.default_rng(k), 8).assign(train_seed=k) for k in range(2)]
+    trained[1]["seed"] += 100
+    few, places = ((MIN_EPISODE_SEEDS - 1, 1), (8, 2))
+    tables = [played(np.random.default_rng(1), seeds, places=count) for seeds, count in (few, places)]
+    for table in (*tables, pd.concat(trained)):
+        found = summarise(table)["entries"]["ppo"]["against"]["uncommanded"]["unsaturated"]["figures"]
+        assert {each["low"] for each in found.values()} == {None}
 
 
 def test_intervals_hold() -> None:

@@ -1,7 +1,5 @@
 """Levels of service are those of the manual, and movements and intersections are summed up vehicle by vehicle."""
 
-from __future__ import annotations
-
 import math
 
 import pandas as pd

@@ -1,7 +1,5 @@
 """Pairing: which episodes are compared, and what a context's sums are."""
 
-from __future__ import annotations
-
 import pandas as pd
 import pytest
 

@@ -1,7 +1,5 @@
 """The paper's form: its exact gate, what is left out, and its aggregates, by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

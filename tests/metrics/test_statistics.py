@@ -1,7 +1,5 @@
 """Statistics by hand, and where they give no interval. Whether intervals hold is in ``test_coverage.py``."""
 
-from __future__ import annotations
-
 import json
 import math
 
@@ -9,20 +7,8 @@ import numpy as np
 import pytest
 
 from izoo.errors import IzooError
-from izoo.metrics.statistics import (
-    INTERSECTIONS,
-    INTERSECTIONS_AND_SEEDS,
-    MIN_INTERSECTIONS,
-    difference,
-    estimate,
-    fall_p_value,
-    holm,
-    iqm,
-    performance_profile,
-    pooled,
-    student_t_below,
-    student_t_quantile,
-)
+from izoo.metrics import statistics as st
+from izoo.metrics.statistics import difference, estimate, iqm, student_t_quantile
 
 GENERATOR = np.random.default_rng(0)
 X = GENERATOR.normal(1.0, 1.0, (4, 11))
@@ -38,7 +24,7 @@ def test_the_interquartile_mean_cuts_a_quarter_from_each_end() -> None:
 
 
 def test_values_of_contexts_are_averaged_by_intersection() -> None:
-    found = pooled([[1.0, 3.0, 5.0], [0.0, 2.0, 4.0]], ["b", "a", "b"])
+    found = st.pooled([[1.0, 3.0, 5.0], [0.0, 2.0, 4.0]], ["b", "a", "b"])
     assert found.tolist() == [[3.0, 3.0], [2.0, 2.0]]
 
 
@@ -53,13 +39,13 @@ def test_without_training_it_is_the_jackknife_of_the_interquartile_mean() -> Non
     half = student_t_quantile(0.975, 11 // 2 - 1) * math.sqrt(by_leaving_out(X[:1]))
     assert found.value == pytest.approx(iqm(X[0]))
     assert (found.low, found.high) == pytest.approx((found.value - half, found.value + half))
-    assert found.over == INTERSECTIONS
+    assert found.over == st.INTERSECTIONS
 
 
 def test_training_seeds_widen_the_interval_by_what_they_differ() -> None:
     shifted = X + np.array([[-1.0], [1.0], [-20.0], [20.0]])
     near, far = estimate(X), estimate(shifted)
-    assert near.over == far.over == INTERSECTIONS_AND_SEEDS
+    assert near.over == far.over == st.INTERSECTIONS_AND_SEEDS
     assert near.value == pytest.approx(iqm(iqm(X)))
     # Four seeds with this spread alone: t at three degrees of freedom times their standard error.
     alone = 3.182 * iqm(shifted).std(ddof=1) / 2.0
@@ -69,18 +55,18 @@ def test_training_seeds_widen_the_interval_by_what_they_differ() -> None:
 
 def test_below_four_training_seeds_the_interval_says_what_it_leaves_out() -> None:
     found = estimate(X[:3])
-    assert found.over == INTERSECTIONS
+    assert found.over == st.INTERSECTIONS
     half = student_t_quantile(0.975, 11 // 2 - 1) * math.sqrt(by_leaving_out(X[:3]))
     assert found.high - found.value == pytest.approx(half)
 
 
 def test_a_difference_is_not_over_seeds_where_one_side_has_few() -> None:
-    assert difference(X[:2], Y[:4]).over == INTERSECTIONS
-    assert difference(X[:1], Y[:4]).over == INTERSECTIONS_AND_SEEDS, "one side was not trained"
+    assert difference(X[:2], Y[:4]).over == st.INTERSECTIONS
+    assert difference(X[:1], Y[:4]).over == st.INTERSECTIONS_AND_SEEDS, "one side was not trained"
 
 
 def test_where_there_is_no_interval() -> None:
-    few = estimate(X[:, : MIN_INTERSECTIONS - 1])
+    few = estimate(X[:, : st.MIN_INTERSECTIONS - 1])
     assert math.isnan(few.low) and math.isnan(few.p)
     same = estimate(np.full((1, 20), 3.0))
     assert same.value == pytest.approx(3.0) and math.isnan(same.high)
@@ -116,34 +102,34 @@ def test_an_entry_compared_with_itself_has_no_p_value() -> None:
 
 
 def test_holm_corrects_for_the_number_of_comparisons() -> None:
-    assert holm([0.01, 0.04, 0.03, 0.5]) == pytest.approx([0.04, 0.09, 0.09, 0.5])
-    assert holm([0.6, 0.7]) == [1.0, 1.0]
-    found = holm([0.02, math.nan, 0.01])
+    assert st.holm([0.01, 0.04, 0.03, 0.5]) == pytest.approx([0.04, 0.09, 0.09, 0.5])
+    assert st.holm([0.6, 0.7]) == [1.0, 1.0]
+    found = st.holm([0.02, math.nan, 0.01])
     assert found[0] == pytest.approx(0.02) and math.isnan(found[1]) and found[2] == pytest.approx(0.02)
-    assert holm([]) == []
+    assert st.holm([]) == []
 
 
 def test_a_fall_is_tested_over_intersections() -> None:
     places = ["a", "a", "b", "b", "c", "c"]
-    value = fall_p_value([-1.0, -3.0, -1.0, -1.0, 0.0, 0.0], places)
+    value = st.fall_p_value([-1.0, -3.0, -1.0, -1.0, 0.0, 0.0], places)
     centre, error = -1.0, 1.0 / math.sqrt(3.0)
-    assert value == pytest.approx(student_t_below(centre / error, 2))
-    assert fall_p_value([-1.0, -1.0], ["a", "a"]) == 0.0 and fall_p_value([1.0], ["a"]) == 1.0
+    assert value == pytest.approx(st.student_t_below(centre / error, 2))
+    assert st.fall_p_value([-1.0, -1.0], ["a", "a"]) == 0.0 and st.fall_p_value([1.0], ["a"]) == 1.0
 
 
 def test_a_performance_profile_falls_from_1_to_0() -> None:
-    assert performance_profile([[1.0, 2.0], [3.0, 4.0]], [0.0, 2.0, 4.0]).tolist() == [1.0, 0.5, 0.0]
-    assert np.isnan(performance_profile([], [0.0])).all()
+    assert st.performance_profile([[1.0, 2.0], [3.0, 4.0]], [0.0, 2.0, 4.0]).tolist() == [1.0, 0.5, 0.0]
+    assert np.isnan(st.performance_profile([], [0.0])).all()
 
 
 @pytest.mark.parametrize(("degrees", "t"), [(1, 12.706), (2, 4.303), (5, 2.571), (10, 2.228), (100, 1.984)])
 def test_student_t_agrees_with_the_printed_table(degrees: int, t: float) -> None:
     assert student_t_quantile(0.975, degrees) == pytest.approx(t, abs=1e-3)
-    assert student_t_below(t, degrees) == pytest.approx(0.975, abs=1e-4)
-    assert student_t_below(-t, degrees) == pytest.approx(0.025, abs=1e-4)
+    assert st.student_t_below(t, degrees) == pytest.approx(0.975, abs=1e-4)
+    assert st.student_t_below(-t, degrees) == pytest.approx(0.025, abs=1e-4)
 
 
 @pytest.mark.parametrize("degrees", range(1, 41))
 def test_student_t_stays_a_probability(degrees: int) -> None:
     for t in (8.0, 25.0, 35.0, 1e3, 1e6):
-        assert 0.0 <= student_t_below(-t, degrees) < 0.05 and 0.95 < student_t_below(t, degrees) <= 1.0
+        assert 0.0 <= st.student_t_below(-t, degrees) < 0.05 and 0.95 < st.student_t_below(t, degrees) <= 1.0

@@ -1,7 +1,5 @@
 """What a summary says of a table, and the verdict in words."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -52,18 +50,14 @@ def test_verdicts_on_one_entry() -> None:
     faster = said({"ppo": good}, {"ppo": -4.0})
     assert faster.endswith(f"{where}, and saves 4.4 s [4.2, 4.5] of delay per vehicle.")
     assert said({"ppo": none}).startswith(f"No difference between ppo and uncommanded CVs is shown {where} (CO2 saved ")
-    assert (
-        said({"ppo": [0.0] * 20})
-        == f"No difference between ppo and uncommanded CVs is shown {where} (CO2 saved 0.0 %)."
-    )
+    zero = said({"ppo": [0.0] * 20})
+    assert zero == f"No difference between ppo and uncommanded CVs is shown {where} (CO2 saved 0.0 %)."
     assert said({"ppo": none}, {"ppo": -4.0}).startswith("ppo saves 4.4 s [4.2, 4.5] of delay per vehicle over")
     assert said({"ppo": none}, {"ppo": 4.0}).startswith(f"ppo is slower than uncommanded CVs {where}: 4.4 s [4.2, 4.5]")
     assert "burns 3.5 % [" in said({"ppo": bad}) and "more CO2 than uncommanded CVs" in said({"ppo": bad})
     assert said({"ppo": bad}, {"ppo": 4.0}).endswith(", and is slower: 4.4 s [4.2, 4.5] more delay per vehicle.")
-    few = said({"ppo": [3.0, 4.0]})
-    assert (
-        few == "ppo saves 3.5 % CO2 over uncommanded CVs on 2 unsaturated intersections, too few for an interval (6)."
-    )
+    few = "ppo saves 3.5 % CO2 over uncommanded CVs on 2 unsaturated intersections, too few for an interval (6)."
+    assert said({"ppo": [3.0, 4.0]}) == few
     assert " on 20 saturated intersections" in said({"ppo": good}, volume_over_capacity=1.5)
 
 

@@ -6,8 +6,6 @@ over two inside lanes of 8 and 12 m. Leg B comes from the east: one lane of 150 
 Leg C only leads away. A's left turn is green twice a cycle: permissive in the first phase, protected in the third.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 HANDMADE_NET = """<net version="1.20">

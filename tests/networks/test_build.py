@@ -1,7 +1,5 @@
 """Nets built by ``netconvert`` and driven through by SUMO."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 
@@ -143,27 +141,12 @@ def test_one_way_legs_build_and_drive(cache, tmp_path):
     assert drive.arrived == drive.sent > 0
 
 
-def test_finished_nets_are_returned_as_they_are(cache, tmp_path):
-    net = tmp_path / "net.net.xml"
-    net.write_text("<net/>")
-    spec = dataclasses.replace(intersection(), source="dataset", net_path=str(net))
-    assert build_net(spec, cache) == net
-    net.unlink()
-    with pytest.raises(IzooError, match="does not exist"):
-        build_net(spec, cache)
-
-
 def test_only_what_shapes_the_net_is_part_of_its_key():
     given = procedural_intersection()
     assert net_key(given) == net_key(dataclasses.replace(given, name="another"))
     assert net_key(given) == net_key(procedural_intersection(inflow_vph_per_lane=400.0))
     assert net_key(given) != net_key(procedural_intersection(green_s=30.0))
     assert net_key(intersection(aadt=1000.0)) != net_key(intersection(aadt=2000.0))
-
-
-def test_junctions_that_eat_a_leg_are_refused(cache):
-    with pytest.raises(IzooError, match="leg A is too short"):
-        build_net(procedural_intersection(4, 2, lane_length_m=30.0), cache)
 
 
 def test_messages_of_netconvert_reach_the_user(cache, monkeypatch):

@@ -1,7 +1,5 @@
 """Many nets in one call of netconvert: each the same as if it had been built alone."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 
@@ -76,12 +74,15 @@ def test_paths_come_in_the_order_of_the_specs_and_nothing_is_built_twice(tmp_pat
     assert paths[1] == finished
     assert paths[0] == paths[3] == build_net(PROCEDURAL[1], tmp_path)
     assert paths[2] == paths[4] == build_net(PROCEDURAL[0], tmp_path)
-    assert build_nets([own], tmp_path / "never") == [finished]
+    assert build_nets([own], tmp_path / "never") == [finished] == [build_net(own, tmp_path / "never")]
     assert build_nets([], tmp_path / "never") == []
     assert not (tmp_path / "never").exists()
     paths[0].write_bytes(paths[0].read_bytes()[:-100])
     before = paths[2].stat().st_mtime_ns
     build_nets(PROCEDURAL[:2], tmp_path)
+    finished.unlink()
+    with pytest.raises(IzooError, match="does not exist"):
+        build_net(own, tmp_path)
     assert len(calls) == 2 and paths[2].stat().st_mtime_ns == before and paths[0].read_bytes().endswith(b"</net>\n")
 
 

@@ -1,7 +1,5 @@
 """The cache of nets: whole or absent, whatever happens."""
 
-from __future__ import annotations
-
 import os
 import time
 

@@ -1,17 +1,18 @@
 """The signal clock: tables by hand, by brute force, and against SUMO's own signal."""
 
-from __future__ import annotations
-
+import functools
 import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from defusedxml import ElementTree
 
 from izoo.contexts.procedural import procedural_context
 from izoo.contexts.source import ContextList
 from izoo.envs.mdp.signals import CLOCK, Shown, clock_tables, phase_of_step, read_clock
+from izoo.envs.sumo.session import SumoSession, import_libsumo, sumo_arguments
 from izoo.envs.tables import compiled, directory, opener
 from izoo.errors import IzooError
 from izoo.networks.clock import GREEN, NEVER_S, RED, YELLOW, SignalClock, make_clock
@@ -59,9 +60,7 @@ def test_green_and_red_per_cycle(clock: SignalClock) -> None:
     assert clock.cycle_s == 65.0 and clock.offset_s == 7.0
     assert clock.green_s.tolist() == [[0.0, 36.0, 30.0], [20.0, 0.0, 20.0]]
     assert (clock.red_s + clock.green_s == 65.0).all()
-
-
-def test_right_on_red_is_red_but_legal(clock: SignalClock) -> None:
+    # Right on red is red, but legal.
     assert clock.colour[1, 0].tolist() == [RED, RED, RED, RED, GREEN, YELLOW]
     assert clock.legal_on_red[1, 0].tolist() == [True] * 4 + [False] * 2
     assert not clock.legal_on_red[0].any()
@@ -99,17 +98,12 @@ def test_a_cycle_ends_when_it_ends(step_s: float) -> None:
         assert evaluate(clock, step * step_s)[0] == expected, step
 
 
-def test_a_movement_without_green_never_changes() -> None:
-    clock = plan(np.array([20.0, 30.0]), np.full((1, 1, 2), RED, np.int8))
-    for time_s in (0.0, 19.5, 33.0, 80.0):
-        assert evaluate(clock, time_s)[1][:, 0, 0].tolist() == [RED, NEVER_S, NEVER_S, NEVER_S]
-    assert clock.green_s[0, 0] == 0.0
-
-
-def test_a_movement_that_is_always_green_never_changes() -> None:
-    clock = plan(np.array([20.0, 30.0]), np.full((1, 1, 2), GREEN, np.int8))
-    assert evaluate(clock, 12.0)[1][:, 0, 0].tolist() == [GREEN, NEVER_S, NEVER_S, NEVER_S]
-    assert clock.green_s[0, 0] == 50.0
+@pytest.mark.parametrize(("colour", "green_s"), [(RED, 0.0), (GREEN, 50.0)])
+def test_a_movement_of_one_colour_never_changes(colour: int, green_s: float) -> None:
+    clock = plan(np.array([20.0, 30.0]), np.full((1, 1, 2), colour, np.int8))
+    for time_s in (0.0, 12.0, 19.5, 33.0, 80.0):
+        assert evaluate(clock, time_s)[1][:, 0, 0].tolist() == [colour, NEVER_S, NEVER_S, NEVER_S]
+    assert clock.green_s[0, 0] == green_s
 
 
 def test_against_brute_force() -> None:
@@ -135,14 +129,10 @@ def test_against_brute_force() -> None:
 
 def follow_sumo(road: RoadNet, folder: Path, duration_s: float) -> int:
     """Compare the clock with the state that SUMO's signal has in every step; return in how many it switches."""
-    from izoo.envs.sumo.session import SumoSession, sumo_arguments
-
     routes = folder / "none.rou.xml"
     routes.write_text("<routes/>")
-    session = SumoSession()
+    libsumo, session = import_libsumo(), SumoSession()
     session.load(sumo_arguments(road.path, routes, 0, 0.5))
-    import libsumo
-
     try:
         links = signal_links(road)
         switches = 0
@@ -165,8 +155,6 @@ def follow_sumo(road: RoadNet, folder: Path, duration_s: float) -> int:
 
 
 def signal_links(road: RoadNet) -> dict[tuple[int, int], list[int]]:
-    from defusedxml import ElementTree
-
     links: dict[tuple[int, int], list[int]] = {}
     for connection in ElementTree.parse(road.path).getroot().findall("connection"):
         if connection.get("tl") == "TL" and connection.get("to").startswith("TL2"):
@@ -202,19 +190,14 @@ def test_times_are_those_of_sumo_in_whole_milliseconds(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "values", "message"),
     [
-        (
-            'duration="26"',
-            ("0.0004", "-3", "nan", "inf"),
-            "the signal program TL has a phase without a positive duration",
-        ),
+        ('duration="26"', ("0.0004", "-3", "nan", "inf"), "program TL has a phase without a positive duration"),
         ('offset="0"', ("inf", "nan", "1e400", "late"), "is not a complete SUMO net"),
     ],
 )
 def test_times_that_are_none_are_refused(old: str, values: tuple[str, ...], message: str, tmp_path: Path) -> None:
     for value in values:
-        new = f'{old.split("=")[0]}="{value}"'
         with pytest.raises(IzooError, match=message):
-            built(tmp_path, lambda program, new=new: program.replace(old, new))  # type: ignore[misc]
+            built(tmp_path, functools.partial(re.sub, old, f'{old.split("=")[0]}="{value}"'))
 
 
 def test_of_several_programs_the_last_is_played(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Pictures are written for every kind of intersection, and their colours and numbers are right."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +18,7 @@ from izoo.networks.draw.intersection import (
 )
 from izoo.networks.net.connections import signal_links
 from izoo.networks.road import read_road
-from tests.networks.test_dataset import _pocket_net, published, write  # noqa: F401
+from tests.networks.test_dataset import pocket_net, write
 
 PLAN = SignalPlan(
     (
@@ -55,7 +53,7 @@ def test_draws_what_is_built(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["19", "115"])
-def test_draws_nets_of_the_dataset_with_every_movement(tmp_path: Path, published: Path, name: str) -> None:  # noqa: F811
+def test_draws_nets_of_the_dataset_with_every_movement(tmp_path: Path, published: Path, name: str) -> None:
     found = load_intersection(published / name)
     assert min(size_of(draw_intersection(found, tmp_path / "net.png"))) > 800
     layout = layout_of(read_road(published / name / "net.net.xml"), found)
@@ -67,7 +65,7 @@ def test_draws_nets_of_the_dataset_with_every_movement(tmp_path: Path, published
 
 
 def test_a_net_without_lanes_inside_its_junction_is_drawn_too(tmp_path: Path) -> None:
-    folder = write(tmp_path / "1", _pocket_net(1, "rsl", 1), "100\n0\n0\n0\n")
+    folder = write(tmp_path / "1", pocket_net(1, "rsl", 1), "100\n0\n0\n0\n")
     layout = layout_of(read_road(folder / "net.net.xml"), load_intersection(folder))
     assert [(each.origin, each.exit) for each in layout.movements] == [("A", "D"), ("A", "C"), ("A", "B")]
 

@@ -1,7 +1,5 @@
 """What the ghosts of an intersection show, second by second."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

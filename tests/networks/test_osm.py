@@ -1,9 +1,6 @@
 """Intersections from OpenStreetMap: hand-made maps with known answers, broken files, and the real extracts."""
 
-from __future__ import annotations
-
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -58,14 +55,15 @@ class Map:
         return path
 
 
-def crossing(*, signal: bool = True) -> Map:
+def crossing(*, signal: bool = True, ways: bool = True) -> Map:
     """Main Street (two lanes each way, 40 mph) crosses Side Street; signals 300 m east stop the main street."""
     plan = Map()
     plan.node(1, 0, 0, **({"highway": "traffic_signals"} if signal else {}))
     for number, (x, y) in enumerate([(0, 250), (300, 0), (0, -200), (-400, 0)], start=2):
         plan.node(number, x, y, **({"highway": "traffic_signals"} if number == 3 and signal else {}))
-    plan.way(10, [5, 1, 3], lanes="4", maxspeed="40 mph", name="Main Street")
-    plan.way(11, [2, 1, 4], "residential", maxspeed="40", name="Side Street")
+    if ways:
+        plan.way(10, [5, 1, 3], lanes="4", maxspeed="40 mph", name="Main Street")
+        plan.way(11, [2, 1, 4], "residential", maxspeed="40", name="Side Street")
     return plan
 
 
@@ -89,37 +87,27 @@ def test_a_plain_crossing_in_full(tmp_path: Path) -> None:
     assert report.streets == {"1": {"A": "Side Street", "B": "Main Street", "C": "Side Street", "D": "Main Street"}}
     east, north, west = approach(spec, "B"), approach(spec, "A"), approach(spec, "D")
     assert east.lanes == ("rs", "sl") and north.lanes == ("rsl",)
-    assert east.speed_limit_mps == pytest.approx(17.88, abs=0.01) and north.speed_limit_mps == pytest.approx(
-        11.11, abs=0.01
-    )
-    assert east.length_m == pytest.approx(300.0, abs=0.5) and west.length_m == pytest.approx(400.0, abs=0.5)
+    assert [east.speed_limit_mps, north.speed_limit_mps] == pytest.approx([17.88, 11.11], abs=0.01)
+    assert [east.length_m, west.length_m] == pytest.approx([300.0, 400.0], abs=0.5)
     assert [leg.exit_lanes for leg in spec.legs] == [1, 2, 1, 2]
     assert "length of B" not in spec.imputed and "length of D" in spec.imputed
     assert "lanes of A" in spec.imputed and "lanes of B" not in spec.imputed
     assert {f"{what} of {leg}" for what in ("AADT", "grade") for leg in "ABCD"} <= set(spec.imputed)
     assert len(spec.approach_names) == 4 and report.stray_signals == 1 and "built 1 intersection with" in str(report)
+    assert spec.imputed[-1] == "signal plan" and "imputed signal plan: 1 of 1 intersection" in str(report)
     contexts = load_dataset(tmp_path / "town", adoption=0.5)
     assert [context.approach for context in contexts] == ["A", "B", "C", "D"]
 
 
 def dual_carriageways(gap: float, signals: str) -> Map:
     """Two dual carriageways cross; signals are tagged on the ``nodes`` of the square or on the ``lines`` before it."""
-    plan, half = Map(), gap / 2.0
+    plan, h = Map(), gap / 2.0
     mark = {"highway": "traffic_signals"} if signals == "nodes" else {}
-    for number, (x, y) in enumerate([(-half, half), (half, half), (half, -half), (-half, -half)], start=1):
+    for number, (x, y) in enumerate([(-h, h), (h, h), (h, -h), (-h, -h)], start=1):
         plan.node(number, x, y, **mark)
-    far, line = 300.0, half + 12.0
-    ends = [
-        (-half, far),
-        (half, far),
-        (far, half),
-        (far, -half),
-        (half, -far),
-        (-half, -far),
-        (-far, -half),
-        (-far, half),
-    ]
-    stops = [(-half, line), None, (line, half), None, (half, -line), None, (-line, -half), None]
+    far, line = 300.0, h + 12.0
+    ends = [(-h, far), (h, far), (far, h), (far, -h), (h, -far), (-h, -far), (-far, -h), (-far, h)]
+    stops = [(-h, line), None, (line, h), None, (h, -line), None, (-line, -h), None]
     for number, (end, stop) in enumerate(zip(ends, stops, strict=True), start=11):
         plan.node(number, *end)
         if stop is not None:
@@ -175,8 +163,7 @@ def test_one_way_streets_and_restrictions(tmp_path: Path) -> None:
 
 
 def test_turn_pockets_begin_where_the_lanes_do(tmp_path: Path) -> None:
-    plan = crossing()
-    plan.ways = []
+    plan = crossing(ways=False)
     plan.node(8, -60, 0)
     plan.way(9, [5, 8], lanes="3", lanes__forward="2", lanes__backward="1", name="Main Street")
     turns = "left|left|through|right"
@@ -191,8 +178,7 @@ def test_turn_pockets_begin_where_the_lanes_do(tmp_path: Path) -> None:
 
 
 def test_a_parallel_turn_lane_belongs_to_its_street(tmp_path: Path) -> None:
-    plan = crossing()
-    plan.ways = []
+    plan = crossing(ways=False)
     plan.node(8, -80, 0), plan.node(9, -20, -15), plan.node(12, 0, -25)
     plan.way(9, [5, 8], oneway="yes", lanes="2", name="Main Street")
     plan.way(10, [8, 1], oneway="yes", lanes="2", turn__lanes="left|through", name="Main Street")
@@ -206,7 +192,7 @@ def test_a_parallel_turn_lane_belongs_to_its_street(tmp_path: Path) -> None:
     assert (west.right_pockets, west.main_lane_count) == (1, 2)
 
 
-_LTR, _BIKE = "left|through|through;right", "no|no|designated|no"
+_LTR, _BIKE, _YES = "left|through|through;right", "no|no|designated|no", "yes|yes|yes"
 
 
 def way(oneway: int = 0, highway: str = "primary", **tags: str) -> Way:
@@ -248,11 +234,7 @@ def way(oneway: int = 0, highway: str = "primary", **tags: str) -> Way:
         (way(1, lanes="2", turn__lanes="left|through", psv__lanes="yes|yes|designated"), True, Lanes(("s", "l"))),
         (way(1, lanes="3", access__lanes="yes|yes|bus"), True, Lanes(("", ""))),
         (way(1, lanes="3", motor_vehicle__lanes="yes|yes|destination"), True, Lanes(("", "", ""))),
-        (
-            way(1, lanes="3", bus__lanes="designated|yes|yes", motor_vehicle__lanes="yes|yes|yes"),
-            True,
-            Lanes(("",) * 3),
-        ),
+        (way(1, lanes="3", bus__lanes="designated|yes|yes", motor_vehicle__lanes=_YES), True, Lanes(("",) * 3)),
         (way(1, lanes="3", turn__lanes="left|through|none|right", bicycle__lanes=_BIKE), True, Lanes(("r", "s", "l"))),
         (way(1, lanes="4", turn__lanes="left|through|none|right", bicycle__lanes=_BIKE), True, Lanes(("r", "s", "l"))),
         (way(1, lanes="3", turn__lanes="left|through|right", bicycle__lanes=_BIKE), True, Lanes(("r", "s", "l"))),
@@ -291,8 +273,7 @@ def test_turns_fit_the_exits(lanes: tuple[str, ...], available: str, banned: str
 
 
 def test_a_direction_without_lanes_for_cars_is_closed(tmp_path: Path) -> None:
-    plan = crossing()
-    plan.ways = []
+    plan = crossing(ways=False)
     plan.way(10, [5, 1], lanes="3", bus__lanes__backward="designated", lanes__backward="1", name="Main Street")
     plan.way(12, [1, 3], lanes="2", oneway="no", oneway__motor_vehicle="yes", name="Main Street")
     plan.way(11, [2, 1, 4], "residential", name="Side Street")
@@ -303,8 +284,7 @@ def test_a_direction_without_lanes_for_cars_is_closed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("value", ["bus", "psv", "emergency", "bus;taxi", "no", "private"])
 def test_streets_without_cars_are_left_out(tmp_path: Path, value: str) -> None:
-    plan = crossing()
-    plan.ways = []
+    plan = crossing(ways=False)
     plan.way(10, [5, 1, 3], lanes="4", name="Main Street")
     plan.way(11, [2, 1], "residential", name="Side Street", motor_vehicle=value, access="yes")
     plan.way(12, [1, 4], "residential", name="Side Street", access="destination;bus")
@@ -363,11 +343,8 @@ def test_grade_from_an_elevation_raster(after_sumo: bool, tmp_path: Path, monkey
         for name in ("PROJ_DATA", "PROJ_LIB"):
             monkeypatch.setenv(name, str(Path(sumo.SUMO_HOME, "data", "proj")))
     spec, _ = build(crossing(), tmp_path, elevation=path)
-    assert approach(spec, "D").grade == pytest.approx(0.05, abs=1e-3), (
-        "uphill towards the stop line, coming from the west"
-    )
-    assert approach(spec, "B").grade == pytest.approx(-0.05, abs=1e-3)
-    assert approach(spec, "A").grade == pytest.approx(0.0, abs=1e-4)
+    grades = [approach(spec, leg).grade for leg in "DBA"]
+    assert grades == pytest.approx([0.05, -0.05, 0.0], abs=1e-3), "uphill coming from the west"
     assert not any(name.startswith("grade") for name in spec.imputed)
     with pytest.raises(IzooError, match="does not exist"):
         build(crossing(), tmp_path, elevation=tmp_path / "none.tif")
@@ -474,11 +451,8 @@ EXTRACTS = {
 
 
 @pytest.mark.parametrize("name", EXTRACTS)
-def test_real_extracts(tmp_path: Path, name: str) -> None:
-    root = os.environ.get("IZOO_TEST_DATA")
-    if not root:
-        pytest.skip("IZOO_TEST_DATA is unset; it names the folder with the OpenStreetMap extracts")
-    report = build_from_osm(Path(root) / "osm" / f"{name}.osm", target=tmp_path / name)
+def test_real_extracts(data: Path, tmp_path: Path, name: str) -> None:
+    report = build_from_osm(data / "osm" / f"{name}.osm", target=tmp_path / name)
     assert set(report.streets) == set(EXTRACTS[name]) and report.skipped == {}
     for key, street in EXTRACTS[name].items():
         assert street in report.streets[key].values()

@@ -1,7 +1,5 @@
 """Signals that control no junction, and what else real extracts hold that is easily misread."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 
@@ -17,8 +15,7 @@ pytest.importorskip("osmium", reason="reading OpenStreetMap needs the extra izoo
 
 def side_street(**signal: str) -> Map:
     """The crossing, and 400 m to its west a side street without a signal; 20 m from it one on the main street."""
-    plan = crossing()
-    plan.ways = []
+    plan = crossing(ways=False)
     plan.node(20, -380, 0, highway="traffic_signals", **signal), plan.node(21, -400, -100), plan.node(22, -600, 0)
     plan.way(10, [22, 5, 20, 1, 3], lanes="4", name="Main Street")
     plan.way(11, [2, 1, 4], "residential", name="Side Street")

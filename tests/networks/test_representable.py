@@ -1,7 +1,5 @@
 """What SUMO would play and izoo would see otherwise is refused, or left out where cars never go."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

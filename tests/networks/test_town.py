@@ -1,7 +1,5 @@
 """What a town's folder holds beyond its streets: signal plans that were given, and edits; and towns that drive left."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import pickle
@@ -22,6 +20,7 @@ from izoo.networks.road import read_road
 from izoo.networks.signals.delay import peak_movements
 from izoo.results.store import context_from_dict
 from izoo.traffic.sampling import sample_traffic
+from tests.conftest import Refused
 from tests.networks.test_osm import Map, approach, crossing
 from tests.networks.test_osm import build as osm_build
 
@@ -73,13 +72,6 @@ def test_a_given_signal_plan_is_played(tmp_path: Path, way: str) -> None:
     assert [clock.green_s[p, (p + 2) % 4] for p in range(4)] == [33.0, 20.5, 33.0, 20.5]
 
 
-def test_a_town_without_a_plan_says_so(tmp_path: Path) -> None:
-    spec = build(tmp_path)
-    assert spec.signal_plan is None and spec.imputed[-1] == "signal plan"
-    report = build_from_osm(tmp_path / "map.osm", target=tmp_path / "town")
-    assert "imputed signal plan: 1 of 1 intersection" in str(report)
-
-
 def changed(**fields: Any) -> dict[str, Any]:
     return {**PLAN, "phases": [{**PLAN["phases"][0], **fields}, *PLAN["phases"][1:]]}  # type: ignore[index, misc]
 
@@ -109,31 +101,27 @@ def test_plans_that_cannot_be_shown(tmp_path: Path, plan: Any, message: str) -> 
     assert not (tmp_path / "other").exists()
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ({"7": PLAN}, "a signal plan for '7', which is not an intersection .* choose among 1"),
-        ([PLAN], "no plans by inters"),
-    ],
-)
-def test_files_of_plans_that_do_not_fit(tmp_path: Path, content: Any, message: str) -> None:
-    with pytest.raises(IzooError, match=message):
-        build(tmp_path, signals=signals_file(tmp_path, content))
+def test_files_of_plans_that_do_not_fit(tmp_path: Path) -> None:
+    for text, message in (
+        (json.dumps({"7": PLAN}), "a signal plan for '7', which is not an intersection .* choose among 1"),
+        (json.dumps([PLAN]), "no plans by inters"),
+        ("{", "are not JSON"),
+    ):
+        (tmp_path / "plans.json").write_text(text)
+        with pytest.raises(IzooError, match=message):
+            build(tmp_path, signals=tmp_path / "plans.json")
     with pytest.raises(IzooError, match="cannot read the signal plans"):
         build(tmp_path, signals=tmp_path / "none.json")
-    (tmp_path / "broken.json").write_text("{")
-    with pytest.raises(IzooError, match="are not JSON"):
-        build(tmp_path, signals=tmp_path / "broken.json")
 
 
-def test_a_build_never_replaces_what_was_edited(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_build_never_replaces_what_was_edited(tmp_path: Path, refused: Refused) -> None:
     build(tmp_path)
     build(tmp_path)
     file = tmp_path / "town" / "1.json"
     edit(file, PLAN)
     before = file.read_bytes()
-    assert CONTEXTS.main(["build", "--osm", str(tmp_path / "map.osm"), str(tmp_path / "town")]) == 2
-    assert "1.json has been edited since it was built" in capsys.readouterr().err
+    words = ["build", "--osm", str(tmp_path / "map.osm"), str(tmp_path / "town")]
+    refused(CONTEXTS.main, words, "1.json has been edited since it was built")
     assert file.read_bytes() == before
     file.unlink()
     build(tmp_path)
@@ -187,10 +175,8 @@ def test_counts_may_be_edited(tmp_path: Path) -> None:
     assert side.exit_counts == (("C", 2.0), ("B", 1.0))
     assert edited.content_hash != plain.content_hash
     assert net_key(edited.intersection) != net_key(plain.intersection), "another plan is best"
-    for again in (
-        context_from_dict(json.loads(json.dumps(dataclasses.asdict(edited)))),
-        pickle.loads(pickle.dumps(edited)),
-    ):
+    written = json.dumps(dataclasses.asdict(edited))
+    for again in (context_from_dict(json.loads(written)), pickle.loads(pickle.dumps(edited))):
         assert again == edited and again.content_hash == edited.content_hash
     record["spec"]["legs"][0]["approach"]["exit_counts"] = [["C", 0]]
     file.write_text(json.dumps(record))
@@ -206,21 +192,18 @@ def test_a_build_shows_what_comes_per_hour(tmp_path: Path) -> None:
     assert "B Main Street (1800 veh/h, cut to 900 per lane)" in str(report)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("1,D,D,5", "counts.csv, 1: no lane serves D to D; choose among A to B, A to C"),
-        ("9,D,A,5", "has turning counts for '9', which is not an intersection of the extract; choose among 1"),
-        ("1,D,A,many", "line 2: 'many' is not a usable count"),
-        ("1,D,A,-1", "line 2: '-1' is not a usable count"),
-        ("1,D,A,5\n1,D,A,6", "line 3: 1 has two counts from D to A"),
-    ],
-)
-def test_counts_that_cannot_be_used(tmp_path: Path, text: str, message: str) -> None:
-    with pytest.raises(IzooError, match=message):
-        build(tmp_path, counts=counts_file(tmp_path, f"intersection,from,to,vph\n{text}\n"))
-    with pytest.raises(IzooError, match="needs a header with the columns intersection, from, to, vph"):
-        build(tmp_path, counts=counts_file(tmp_path, "street,count\n"))
+def test_counts_that_cannot_be_used(tmp_path: Path) -> None:
+    header = "intersection,from,to,vph\n"
+    for text, message in (
+        (f"{header}1,D,D,5", "counts.csv, 1: no lane serves D to D; choose among A to B, A to C"),
+        (f"{header}9,D,A,5", "has turning counts for '9', which is not an intersection of the extract; choose among 1"),
+        (f"{header}1,D,A,many", "line 2: 'many' is not a usable count"),
+        (f"{header}1,D,A,-1", "line 2: '-1' is not a usable count"),
+        (f"{header}1,D,A,5\n1,D,A,6", "line 3: 1 has two counts from D to A"),
+        ("street,count\n", "needs a header with the columns intersection, from, to, vph"),
+    ):
+        with pytest.raises(IzooError, match=message):
+            build(tmp_path, counts=counts_file(tmp_path, text))
     with pytest.raises(IzooError, match="cannot read the counts"):
         build(tmp_path, counts=tmp_path / "none.csv")
     assert not (tmp_path / "town").exists()
@@ -243,9 +226,8 @@ def one_sided(mirror: bool) -> Map:
     turns = by_lane("left", "through", "through ; right")
     plan.way(10, [5, 6], oneway="yes", lanes="2", name="Main Street", maxspeed="50")
     plan.way(15, [6, 1], oneway="yes", lanes="3", name="Main Street", turn__lanes=turns, maxspeed="50")
-    plan.way(
-        11, [1, 3], lanes="5", lanes__backward="3", name="East Street", turn__lanes__backward=by_lane("left", "", "")
-    )
+    arriving = by_lane("left", "", "")
+    plan.way(11, [1, 3], lanes="5", lanes__backward="3", name="East Street", turn__lanes__backward=arriving)
     plan.way(12, [2, 1], lanes="3", name="Up Street")
     plan.way(13, [1, 4], "residential", name="Down Street")
     plan.restriction(f"no_{words.get('right', 'right')}_turn", 13, 11)
@@ -279,31 +261,20 @@ def test_london_and_sydney_are_mirrored(faults: Path, tmp_path: Path) -> None:
     assert streets == {"North": "A", "West": "B", "South": "C", "East": "D"}
     # Tagged left|through|through;right: seen in the mirror, the lane on the right turns right.
     assert approach(spec, "B").lanes == ("r", "s", "sl") and not spec.right_on_red
-    moved = (
-        (faults / "osm" / "london.osm").read_text().replace('lat="51.', 'lat="-33.').replace('lon="-0.1', 'lon="151.1')
-    )
-    (tmp_path / "sydney.osm").write_text(moved)
+    london = (faults / "osm" / "london.osm").read_text()
+    (tmp_path / "sydney.osm").write_text(london.replace('lat="51.', 'lat="-33.').replace('lon="-0.1', 'lon="151.1'))
     assert build_from_osm(tmp_path / "sydney.osm", target=tmp_path / "sydney").read.mirrored == "Australia"
     report = build_from_osm(faults / "osm" / "london.osm", target=tmp_path / "as_it_is", drives_on="right")
     assert report.read.mirrored == "" and "mirrored" not in str(report)
 
 
-@pytest.mark.parametrize(
-    ("lon", "lat", "left"),
-    [
-        *[(-0.1, 51.5, True), (-6.3, 53.3, True), (1.31, 51.13, True), (1.86, 50.95, False), (2.35, 48.86, False)],
-        *[(139.7, 35.7, True), (129.05, 35.15, False), (114.17, 22.3, True), (114.06, 22.55, False)],
-        *[(77.2, 28.6, True), (92.9, 20.14, False), (100.5, 13.75, True), (102.61, 17.97, False), (103.85, 1.29, True)],
-        *[
-            (106.85, -6.2, True),
-            (121.0, 14.6, False),
-            (151.2, -33.9, True),
-            (174.8, -36.9, True),
-            (166.45, -22.3, False),
-        ],
-        *[(36.8, -1.3, True), (30.06, -1.95, False), (18.4, -33.9, True), (13.2, -8.8, False), (27.48, -11.66, False)],
-        *[(-76.8, 18.0, True), (-80.2, 25.8, False), (-58.2, 6.8, True), (-52.3, 4.9, False), (-122.3, 47.6, False)],
-    ],
-)
-def test_where_traffic_drives_on_the_left(lon: float, lat: float, left: bool) -> None:
-    assert (left_hand_region(lon, lat) is not None) == left
+LEFT = [(-0.1, 51.5), (-6.3, 53.3), (1.31, 51.13), (139.7, 35.7), (114.17, 22.3), (77.2, 28.6), (100.5, 13.75)]
+LEFT += [(103.85, 1.29), (106.85, -6.2), (151.2, -33.9), (174.8, -36.9), (36.8, -1.3), (18.4, -33.9), (-76.8, 18.0)]
+LEFT += [(-58.2, 6.8)]
+RIGHT = [(1.86, 50.95), (2.35, 48.86), (129.05, 35.15), (114.06, 22.55), (92.9, 20.14), (102.61, 17.97), (121.0, 14.6)]
+RIGHT += [(166.45, -22.3), (30.06, -1.95), (13.2, -8.8), (27.48, -11.66), (-80.2, 25.8), (-52.3, 4.9), (-122.3, 47.6)]
+
+
+def test_where_traffic_drives_on_the_left() -> None:
+    assert [place for place in LEFT if left_hand_region(*place) is None] == []
+    assert [place for place in RIGHT if left_hand_region(*place) is not None] == []

@@ -1,7 +1,5 @@
 """Turn restrictions: from and to ways inside a junction, several of them, and those that are not meant for cars."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,11 +1,10 @@
 """Intersections made for tests, and a way to drive through their nets with SUMO itself."""
 
-from __future__ import annotations
-
 import os
 import subprocess
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import sumo
 from defusedxml import ElementTree
@@ -51,6 +50,15 @@ def intersection(
     return IntersectionSpec(
         "test/intersection", source, tuple(legs), plan, ghosts or GhostSpec(), right_on_red=right_on_red
     )
+
+
+def with_approaches(spec: IntersectionSpec, legs: str, **changes: Any) -> IntersectionSpec:
+    """Return ``spec`` with other fields of the approaches of ``legs``, such as ``"AC"``."""
+    changed = (
+        replace(leg, approach=replace(leg.approach, **changes)) if leg.approach and leg.name in legs else leg
+        for leg in spec.legs
+    )
+    return replace(spec, legs=tuple(changed))
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """One real evaluation and its page, shared by the tests of replays and of the browser."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The page in a real Chromium: what is clicked and typed does what it says, and nothing is asked of a network."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import time
@@ -12,7 +10,7 @@ from typing import Any
 import pytest
 
 from izoo.report.__main__ import main
-from tests.report.made_tables import folder, table
+from tests.report.made_tables import SEVERAL, folder, table
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 BROWSER = next((path for name in BROWSERS if (path := shutil.which(name))), None)
@@ -72,9 +70,6 @@ def pixels(page: Any, canvas: str) -> str:
     return page.evaluate("id => document.getElementById(id).toDataURL()", canvas)
 
 
-SEVERAL = {"ppo": (0.06, -1.0, 4), "glide": (0.03, 0.0, 1), "cap_0.6": (0.08, 5.0, 1)}
-
-
 def test_table_sorts_and_filters(chromium, page: Path) -> None:
     visit = Visit(chromium, page, WIDE)
     sheet = visit.page
@@ -82,9 +77,8 @@ def test_table_sorts_and_filters(chromium, page: Path) -> None:
     assert sheet.locator("#filter-count").inner_text() == "4 of 4 rows"
     head = sheet.get_by_role("button", name="CO2 per vehicle (g)", exact=True)
     head.click()
-    place = [text.strip() for text in sheet.locator("#rows th[scope=col]").all_inner_texts()].index(
-        "CO2 per vehicle (g)"
-    )
+    heads = [text.strip() for text in sheet.locator("#rows th[scope=col]").all_inner_texts()]
+    place = heads.index("CO2 per vehicle (g)")
     values = [float(text) for text in column(sheet, place)]
     assert values == sorted(values) and values[0] > 0.0
     assert sheet.locator("#rows th[aria-sort=ascending]").inner_text() == "CO2 per vehicle (g)"

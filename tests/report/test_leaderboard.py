@@ -1,7 +1,5 @@
 """Leaderboard files: written from rows, checked, ranked, converted, and refused in one sentence."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -20,9 +18,8 @@ from izoo.metrics.summary import summarise
 from izoo.report import leaderboard
 from izoo.report.leaderboard import board, check, content_hash, make_entry, merge, read_entry, unpacked, write_entry
 from izoo.results.store import read_table
-from tests.report.made_tables import folder, table
-
-PPO = (0.06, -1.0, 4)
+from tests.conftest import Refused
+from tests.report.made_tables import PPO, SEVERAL, folder, table
 
 
 def content(made: pd.DataFrame | None = None, **policy: Any) -> dict[str, Any]:
@@ -41,7 +38,7 @@ def marks(changed: dict[str, Any]) -> tuple[str, ...]:
 
 @pytest.fixture
 def results(tmp_path: Path) -> Path:
-    return folder(tmp_path / "results", table({"ppo": PPO, "glide": (0.03, 0.0, 1), "cap_0.6": (0.08, 5.0, 1)}))
+    return folder(tmp_path / "results", table(SEVERAL))
 
 
 def test_an_entry_survives_its_file(results: Path) -> None:
@@ -49,12 +46,10 @@ def test_an_entry_survives_its_file(results: Path) -> None:
     assert [path.name for path in paths] == ["cap_0.6.json", "glide.json", "ppo.json"]
     entry = read_entry(paths[-1])
     assert entry.marks == () and entry.notes == ()
-    made = table({"ppo": PPO})
-    found, wanted = (summarise(rows)["entries"]["ppo"] for rows in (entry.table, made))
-    for key, estimate in wanted["against"]["uncommanded"]["unsaturated"]["figures"].items():
-        assert found["against"]["uncommanded"]["unsaturated"]["figures"][key]["value"] == pytest.approx(
-            estimate["value"], rel=1e-5, abs=1e-5
-        )
+    summaries = [summarise(rows)["entries"]["ppo"] for rows in (entry.table, table({"ppo": PPO}))]
+    found, wanted = (of["against"]["uncommanded"]["unsaturated"]["figures"] for of in summaries)
+    for key, estimate in wanted.items():
+        assert found[key]["value"] == pytest.approx(estimate["value"], rel=1e-5, abs=1e-5)
     assert set(APPROACH_METRICS) <= set(entry.table)
 
 
@@ -124,15 +119,10 @@ def test_entries_that_cannot_be_compared_are_listed_without_rank() -> None:
     }
     found = [check(of, unpacked(of["rows"]), name) for name, of in contents.items()]
     (group,) = merge(found)["groups"]
-    assert [(line["name"], line["source"], line["rank"]) for line in group["entries"]] == [
-        ("ppo", "good", 1),
-        ("ppo 2", "small", None),
-        ("ppo 3", "other", None),
-    ]
-    assert [line["marks"] for line in group["entries"]] == [
-        [],
-        ["4 contexts fewer than others of the task"],
-        ["its baselines drove otherwise than those of the other files"],
+    assert [(line["name"], line["source"], line["rank"], line["marks"]) for line in group["entries"]] == [
+        ("ppo", "good", 1, []),
+        ("ppo 2", "small", None, ["4 contexts fewer than others of the task"]),
+        ("ppo 3", "other", None, ["its baselines drove otherwise than those of the other files"]),
     ]
     json.dumps(group, allow_nan=False)
 
@@ -165,12 +155,10 @@ def _column(name: str, values: Any) -> Any:
         (_column("crossed", {"values": ["a"], "index": [0] * 72}), "rows/crossed: could not convert"),
     ],
 )
-def test_bad_files_are_refused_in_one_sentence(change: Any, message: str, tmp_path: Path, capsys: Any) -> None:
+def test_bad_files_are_refused_in_one_sentence(change: Any, message: str, tmp_path: Path, refused: Refused) -> None:
     path = tmp_path / "bad.json"
     path.write_text(json.dumps(sealed(change(content()))))
-    assert command.main(["merge", str(path), "--out", str(tmp_path / "board.json")]) == 2
-    error = capsys.readouterr().err
-    assert message in error and error.count("\n") == 1 and "bad.json" in error
+    assert "bad.json" in refused(command.main, ["merge", str(path), "--out", str(tmp_path / "board.json")], message)
     assert not (tmp_path / "board.json").exists()
 
 

@@ -1,13 +1,10 @@
 """Movements and the map of a town on the report's page."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 
 import numpy as np
 
-from izoo.contexts.context import Context
 from izoo.contexts.procedural import procedural_context
 from izoo.envs.mdp.metric_sums import MOVEMENT_METRICS
 from izoo.report.movements import movements_table, town_maps
@@ -17,15 +14,12 @@ from izoo.results.store import add_contexts, read_contexts
 from tests.report.made_tables import folder, table
 
 
-def town_context(place: int) -> Context:
-    context = procedural_context()
-    spec = dataclasses.replace(context.intersection, name=f"town/{place}", lonlat=(0.001 * place, 47.0))
-    return context.replace(intersection=spec)
-
-
 def test_the_page_lists_movements_and_maps_a_town(tmp_path: Path) -> None:
     results = folder(tmp_path / "results", table({"ppo": (0.05, 2.0, 1)}, places=3))
-    add_contexts(results, [town_context(place) for place in range(3)])
+    context = procedural_context()
+    for place in range(3):
+        spec = dataclasses.replace(context.intersection, name=f"town/{place}", lonlat=(0.001 * place, 47.0))
+        add_contexts(results, [context.replace(intersection=spec)])
     assert {context.intersection.lonlat for context in read_contexts(results).values()} == {
         (0.001 * place, 47.0) for place in range(3)
     }

@@ -1,7 +1,5 @@
 """The page of a folder of results: whole, safe, and refused in one sentence where the folder is something else."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import html
@@ -17,9 +15,9 @@ from izoo.metrics.figures import FIGURES
 from izoo.report import tables
 from izoo.report.__main__ import main
 from izoo.report.report_data import collect
-from tests.report.made_tables import folder, table
+from tests.conftest import Refused
+from tests.report.made_tables import SEVERAL, folder, table
 
-SEVERAL = {"ppo": (0.06, -1.0, 4), "glide": (0.03, 0.0, 1), "cap_0.6": (0.08, 5.0, 1)}
 HOSTILE = "<script>alert(1)</script>"
 METRICS = (
     "frames,seconds,return,emission_g_per_vehicle,throughput_veh_per_episode,co2_saved\n"
@@ -160,28 +158,24 @@ def _without(path: Path, policy: str) -> None:
         (lambda path: _without(path, "uncommanded"), "has no rows of uncommanded"),
     ],
 )
-def test_other_folders_are_refused_in_one_sentence(break_it, message: str, tmp_path: Path, capsys) -> None:
+def test_other_folders_are_refused_in_one_sentence(break_it, message: str, tmp_path: Path, refused: Refused) -> None:
     path = folder(tmp_path / "results", table({"glide": (0.03, 0.0, 1)}))
     break_it(path)
-    assert main([str(path)]) == 2
-    error = capsys.readouterr().err
-    assert message in error and error.count("\n") == 1
+    refused(main, [str(path)], message)
     assert not (path / "report.html").exists()
 
 
-def test_results_that_are_not_complete_are_refused_unless_asked_for(tmp_path: Path, capsys) -> None:
+def test_results_that_are_not_complete_are_refused_unless_asked_for(tmp_path: Path, refused: Refused) -> None:
     path = folder(tmp_path / "results", table({"glide": (0.03, 0.0, 1)}), complete=False)
-    assert main([str(path)]) == 2
-    assert "is not finished" in capsys.readouterr().err
+    refused(main, [str(path)], "is not finished")
     assert main([str(path), "partial=true", "replay=false"]) == 0
     assert "is not complete" in (path / "report.html").read_text()
 
 
-def test_a_foreign_file_is_not_overwritten_but_a_report_is(results: Path, tmp_path: Path, capsys) -> None:
+def test_a_foreign_file_is_not_overwritten_but_a_report_is(results: Path, tmp_path: Path, refused: Refused) -> None:
     thesis, page = tmp_path / "thesis.html", tmp_path / "page.html"
     thesis.write_text("<!doctype html>\nfour years of work")
-    assert main([str(results), f"out={thesis}", "replay=false"]) == 2
-    assert "thesis.html exists and is not a report" in capsys.readouterr().err
+    refused(main, [str(results), f"out={thesis}", "replay=false"], "thesis.html exists and is not a report")
     assert "four years of work" in thesis.read_text()
     for title in ("one", "two"):
         assert main([str(results), f"out={page}", f"title={title}", "replay=false"]) == 0

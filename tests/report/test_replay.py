@@ -1,7 +1,6 @@
 """Replays: the evaluated episode again, in small numbers that read back to where the vehicles were."""
 
-from __future__ import annotations
-
+import contextlib
 import gzip
 import json
 import shutil
@@ -30,8 +29,8 @@ def positions(vehicle: list) -> np.ndarray:
 
 
 def test_a_recording_says_where_vehicles_were(contexts) -> None:
-    env, recorder, seen = EcoDrivingEnv(config=SHORT), Recorder(), []
-    try:
+    recorder, seen = Recorder(), []
+    with contextlib.closing(EcoDrivingEnv(config=SHORT)) as env:
         state = env.reset(context=contexts[0], seed=1)
         for _ in range(180):
             scene = env.scene()
@@ -39,10 +38,7 @@ def test_a_recording_says_where_vehicles_were(contexts) -> None:
             numbers = scene.vehicles["vehicle_number"].tolist()
             where = zip(*(scene.vehicles[name] for name in ("path_position_m", "region_lane", "is_cv")), strict=True)
             seen.append(dict(zip(numbers, where, strict=True)))
-            state = env.rand_action(state)
-            state = env.step(state)["next"]
-    finally:
-        env.close()
+            state = env.step(env.rand_action(state))["next"]
     content = recorder.content()
     assert content["frames"] == 180
     numbers = sorted({number for frame in seen for number in frame})
@@ -95,8 +91,17 @@ def test_an_episode_is_replayed_on_the_simulator_that_played_it(contexts, tmp_pa
         assert player._env is not None and isinstance(player._env.backend, TwinBackend)
 
 
-def test_a_replay_that_differs_says_so(evaluation: Path, tmp_path: Path) -> None:
+def changed(evaluation: Path, tmp_path: Path, **changes: object) -> Path:
+    """A copy of the evaluation without its replays, and with changes to what it says of glide."""
     folder = Path(shutil.copytree(evaluation, tmp_path / "results", ignore=shutil.ignore_patterns("replays")))
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["policies"]["glide"]["0"] |= changes
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    return folder
+
+
+def test_a_replay_that_differs_says_so(evaluation: Path, tmp_path: Path) -> None:
+    folder = changed(evaluation, tmp_path)
     rows = pd.read_csv(folder / "rows.csv")
     rows["crossed"] += rows["policy"] == "glide"
     rows.to_csv(folder / "rows.csv", index=False)
@@ -114,26 +119,16 @@ def test_a_replay_that_differs_says_so(evaluation: Path, tmp_path: Path) -> None
     ],
 )
 def test_what_cannot_be_played_again_is_said(evaluation: Path, tmp_path: Path, changes: dict, message: str) -> None:
-    folder = Path(shutil.copytree(evaluation, tmp_path / "results", ignore=shutil.ignore_patterns("replays")))
-    manifest = json.loads((folder / "manifest.json").read_text())
-    manifest["policies"]["glide"]["0"] |= changes
-    (folder / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(IzooError, match=message):
-        played(folder)
+        played(changed(evaluation, tmp_path, **changes))
 
 
-def test_a_run_whose_algorithm_is_code_is_not_imported(
-    evaluation: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "evil.py").write_text("open('ran', 'w').close()\n")
-    folder = Path(shutil.copytree(evaluation, tmp_path / "results", ignore=shutil.ignore_patterns("replays")))
+def test_a_run_whose_algorithm_is_code_is_not_imported(evaluation: Path, here: Path) -> None:
+    (here / "evil.py").write_text("open('ran', 'w').close()\n")
+    folder = changed(evaluation, here, source="run/checkpoints/step-000000000001.pt")
     (folder / "run" / "checkpoints").mkdir(parents=True)
     (folder / "run" / "checkpoints" / "step-000000000001.pt").touch()
     (folder / "run" / run_folder.CONFIG_FILE).write_text("algo: {name: 'evil:Thing'}\n")
-    manifest = json.loads((folder / "manifest.json").read_text())
-    manifest["policies"]["glide"]["0"]["source"] = "run/checkpoints/step-000000000001.pt"
-    (folder / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(IzooError, match="of the code evil:Thing; imports=true allows to import it"):
         played(folder)
-    assert not (tmp_path / "ran").exists()
+    assert not (here / "ran").exists()

@@ -1,7 +1,5 @@
 """A summary reads the same on a terminal, in Markdown and in HTML."""
 
-from __future__ import annotations
-
 import html
 import io
 import re
@@ -13,9 +11,7 @@ from izoo.metrics.figures import FIGURES
 from izoo.metrics.summary import summarise
 from izoo.report import tables
 from izoo.report.tables import Cell, Row, Table
-from tests.report.made_tables import table
-
-SEVERAL = {"ppo": (0.06, -1.0, 4), "glide": (0.03, 0.0, 1), "cap_0.6": (0.08, 5.0, 1)}
+from tests.report.made_tables import SEVERAL, table
 
 
 def printed(shown: Table, width: int = 80) -> str:

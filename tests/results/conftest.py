@@ -1,7 +1,7 @@
 """Short episodes of procedural contexts, for tests on the real simulators."""
 
-from __future__ import annotations
-
+import functools
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from tests.conftest import SHORT
 from tests.results import odd_policies
 
 SEEDS = [11, 12]
+Evaluate = Callable[..., pd.DataFrame]
 
 
 @pytest.fixture(scope="session")
@@ -30,6 +31,12 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def table(contexts: list[Context], cache: Path) -> pd.DataFrame:
-    """``gentle`` and its baselines in SUMO, played in this process."""
-    return evaluate_policy(odd_policies.gentle, contexts, SEEDS, SHORT, workers=0, progress=False, cache=cache)
+def evaluate(cache: Path) -> Evaluate:
+    """:func:`~izoo.results.evaluate_policy` in SUMO and in this process."""
+    return functools.partial(evaluate_policy, config=SHORT, workers=0, progress=False, cache=cache)
+
+
+@pytest.fixture(scope="session")
+def table(contexts: list[Context], evaluate: Evaluate) -> pd.DataFrame:
+    """``gentle`` and its baselines."""
+    return evaluate(odd_policies.gentle, contexts, SEEDS)

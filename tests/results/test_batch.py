@@ -1,7 +1,5 @@
 """Episodes side by side on the twin are those that are played one after the other."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

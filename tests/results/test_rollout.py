@@ -1,7 +1,5 @@
 """Paired episodes on the real simulator: the same for any number of workers, resumed, cached, and failing loudly."""
 
-from __future__ import annotations
-
 import dataclasses
 import subprocess
 import sys
@@ -19,13 +17,14 @@ from izoo.contexts.procedural import ProceduralSource
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.errors import IzooError
 from izoo.networks.net import build
-from izoo.results import evaluate_policy, read_table, summarise
+from izoo.results import read_table, summarise
 from izoo.results.cache import EpisodeCache, baseline_context
 from izoo.results.playing import EpisodeFailed, Setup
 from izoo.results.store import PolicyRecord, read_contexts, read_manifest
 from tests.conftest import SHORT
+from tests.networks.worlds import with_approaches
 from tests.results import odd_policies as drivers
-from tests.results.conftest import SEEDS
+from tests.results.conftest import SEEDS, Evaluate
 
 STEPS = SHORT.control_steps
 
@@ -42,10 +41,11 @@ def test_one_row_per_policy_context_seed_and_approach(table: pd.DataFrame, conte
 
 
 @pytest.mark.slow
-def test_rows_do_not_depend_on_the_workers(table: pd.DataFrame, contexts: list[Context], tmp_path: Path) -> None:
+def test_rows_do_not_depend_on_the_workers(
+    table: pd.DataFrame, contexts: list[Context], tmp_path: Path, evaluate: Evaluate
+) -> None:
     """Two processes and a cold cache against one process."""
-    options = {"workers": 2, "progress": False, "cache": tmp_path / "cold", "out": tmp_path / "out"}
-    other = evaluate_policy(drivers.gentle, contexts, SEEDS, SHORT, **options)
+    other = evaluate(drivers.gentle, contexts, SEEDS, workers=2, cache=tmp_path / "cold", out=tmp_path / "out")
     # Compiled code that was loaded and code that was compiled just now may round the last bit of an emission otherwise.
     assert_frame_equal(other, table, rtol=1e-6)
     assert_frame_equal(read_table(tmp_path / "out"), other, check_exact=True)
@@ -82,96 +82,92 @@ def test_a_script_needs_no_main_guard(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_the_nets_of_sumo_are_built_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_nets_of_sumo_are_built_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, evaluate: Evaluate
+) -> None:
     monkeypatch.setenv("IZOO_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(build, "convert", lambda name, *_: pytest.fail(f"{name} was built alone"))
     sources = [ProceduralSource({"lane_count": 1, "phase_count": 1, "lane_length_m": m}) for m in (200, 300, 400)]
     different = [source.sample(np.random.default_rng(0)) for source in sources]
-    played = evaluate_policy("uncommanded", different, [11], SHORT, baselines=(), workers=0, progress=False)
+    played = evaluate("uncommanded", different, [11], baselines=(), cache=tmp_path)
     assert len(played) == len(list(tmp_path.rglob("*.net.xml"))) == 3
 
 
 @pytest.mark.parametrize("make", [drivers.Tiring, drivers.Remembering, drivers.Drawing, drivers.Numpy, str])
-def test_no_policy_plays_otherwise_for_what_it_played_before(make: type, contexts: list[Context], cache: Path) -> None:
+def test_no_policy_plays_otherwise_for_what_it_played_before(
+    make: type, contexts: list[Context], evaluate: Evaluate
+) -> None:
     """One that counts, one with memory, and some that draw from a generator of their own, of numpy or of torch."""
-    options = {"progress": False, "cache": cache, "baselines": (), "workers": 0}
-    forward = evaluate_policy(make() or "random", contexts, SEEDS, SHORT, **options)
-    backward = evaluate_policy(make() or "random", contexts[::-1], SEEDS[::-1], SHORT, **options)
+    forward = evaluate(make() or "random", contexts, SEEDS, baselines=())
+    backward = evaluate(make() or "random", contexts[::-1], SEEDS[::-1], baselines=())
     assert_frame_equal(forward, backward, check_exact=True)
     assert (forward["agent_steps"] > 0).any() and forward["episode_steps"].gt(0).all()
 
 
-def test_recurrent_policies_keep_what_they_write_for_the_next_step(contexts: list[Context], cache: Path) -> None:
+def test_recurrent_policies_keep_what_they_write_for_the_next_step(contexts: list[Context], evaluate: Evaluate) -> None:
     seen: list[tuple[bool, float | None]] = []
     drivers.Recurrent.seen = seen
     for _ in range(2):
-        evaluate_policy(drivers.Recurrent(), contexts[:1], SEEDS[:1], SHORT, workers=0, progress=False, cache=cache)
+        evaluate(drivers.Recurrent(), contexts[:1], SEEDS[:1])
     first, second = seen[: len(seen) // 2], seen[len(seen) // 2 :]
     assert first == second == [(True, None), *((False, float(step)) for step in range(1, len(first)))]
 
 
-def test_modules_are_played_as_they_evaluate(contexts: list[Context], cache: Path) -> None:
+def test_modules_are_played_as_they_evaluate(contexts: list[Context], evaluate: Evaluate) -> None:
     policy = drivers.Moody().train()
-    table = evaluate_policy(policy, contexts[:1], SEEDS[:1], SHORT, workers=0, progress=False, cache=cache)
+    table = evaluate(policy, contexts[:1], SEEDS[:1])
     assert policy.training, "the caller's own is left as it is"
-    gentle = evaluate_policy(drivers.gentle, contexts[:1], SEEDS[:1], SHORT, workers=0, progress=False, cache=cache)
+    gentle = evaluate(drivers.gentle, contexts[:1], SEEDS[:1])
     assert_frame_equal(table, gentle, check_exact=True)
 
 
-def test_an_identical_policy_saves_exactly_nothing(contexts: list[Context], cache: Path) -> None:
+def test_an_identical_policy_saves_exactly_nothing(contexts: list[Context], evaluate: Evaluate) -> None:
     """Uncommanded driving under another name."""
-    options = {"workers": 0, "progress": False, "cache": cache, "name": "twin"}
-    summary = summarise(evaluate_policy(UncommandedDriver(), contexts, [1, 2, 3], SHORT, **options))
+    summary = summarise(evaluate(UncommandedDriver(), contexts, [1, 2, 3], name="twin"))
     figures = summary["entries"]["twin"]["against"]["uncommanded"]["all"]["figures"]
     assert figures["co2_saved"]["value"] == figures["delay_change_s"]["value"] == 0.0
 
 
-def test_a_context_without_demand_is_left_out_and_said(contexts: list[Context], cache: Path) -> None:
-    spec = contexts[0].intersection
-    empty = [
-        dataclasses.replace(leg, approach=leg.approach and dataclasses.replace(leg.approach, aadt_per_lane=0.0))
-        for leg in spec.legs
-    ]
-    nobody = contexts[0].replace(intersection=dataclasses.replace(spec, name="empty", legs=tuple(empty)))
-    options = {"workers": 0, "progress": False, "cache": cache}
-    table = evaluate_policy("glide", [contexts[0], nobody], [1], SHORT, **options)
+def test_a_context_without_demand_is_left_out_and_said(contexts: list[Context], evaluate: Evaluate) -> None:
+    empty = with_approaches(contexts[0].intersection, "ABCD", aadt_per_lane=0.0)
+    nobody = contexts[0].replace(intersection=dataclasses.replace(empty, name="empty"))
+    table = evaluate("glide", [contexts[0], nobody], [1])
     assert (table.loc[table["context"] == nobody.name, "cohort"] == 0.0).all()
     summary = summarise(table)
     assert summary["n"]["contexts"] == 1 and summary["n"]["left_out"] == [nobody.name]
-    alone = summarise(evaluate_policy("glide", [nobody], [1], SHORT, **options))
+    alone = summarise(evaluate("glide", [nobody], [1]))
     assert "no context has demand" in alone["verdict"]
 
 
-def test_a_drain_that_is_too_short_for_anybody_is_seen(contexts: list[Context], cache: Path) -> None:
+def test_a_drain_that_is_too_short_for_anybody_is_seen(contexts: list[Context], evaluate: Evaluate) -> None:
     config = dataclasses.replace(SHORT, horizon_s=25.0, drain_s=0.5)
-    summary = summarise(evaluate_policy("glide", contexts, [1], config, workers=0, progress=False, cache=cache))
+    summary = summarise(evaluate("glide", contexts, [1], config=config))
     assert summary["entries"]["glide"]["levels"]["all"]["unserved"] == 100.0
 
 
-def test_human_driving_does_not_depend_on_what_concerns_cvs(contexts: list[Context], cache: Path) -> None:
+def test_human_driving_does_not_depend_on_what_concerns_cvs(contexts: list[Context], evaluate: Evaluate) -> None:
     changed = contexts[0].replace(adoption=0.8, engine="electric", cv_vehicle="human")
     assert baseline_context(changed) == baseline_context(contexts[0])
-    table = evaluate_policy("human", [contexts[0], changed], [3], SHORT, workers=0, progress=False, cache=cache)
+    table = evaluate("human", [contexts[0], changed], [3])
     human = table[table["policy"] == "human"]
     assert human["context_hash"].nunique() == 2
     assert human[list(APPROACH_METRICS)].drop_duplicates().shape[0] == 1
-    options = {"workers": 0, "progress": False, "cache": cache, "name": "x"}
-    plain = evaluate_policy(UncommandedDriver(), [changed.replace(adoption=0.0)], [3], SHORT, **options)
+    plain = evaluate(UncommandedDriver(), [changed.replace(adoption=0.0)], [3], name="x")
     played = plain[plain["policy"] == "x"][list(APPROACH_METRICS)].to_numpy()
     assert (played == human[list(APPROACH_METRICS)].to_numpy()[:1]).all()
 
 
-def test_all_approach_contexts_report_every_approach(contexts: list[Context], cache: Path) -> None:
+def test_all_approach_contexts_report_every_approach(contexts: list[Context], evaluate: Evaluate) -> None:
     whole = contexts[0].replace(approach=None)
-    table = evaluate_policy("constant", [whole], [5], SHORT, workers=0, progress=False, cache=cache)
+    table = evaluate("constant", [whole], [5])
     rows = table[table["policy"] == "constant"]
     assert rows["approach"].tolist() == list(whole.intersection.approach_names)
     assert (rows["demand"] == "all").all()
     assert (rows["entered"] > 0).all()
 
 
-def test_nan_actions_are_counted_and_driven_by_idm(table: pd.DataFrame, contexts: list[Context], cache: Path) -> None:
-    lost = evaluate_policy(drivers.lost, contexts[:1], SEEDS, SHORT, workers=0, progress=False, cache=cache)
+def test_nan_actions_are_counted_and_driven_by_idm(contexts: list[Context], evaluate: Evaluate) -> None:
+    lost = evaluate(drivers.lost, contexts[:1], SEEDS)
     chosen, reference = (lost[lost["policy"] == name] for name in ("policy", "uncommanded"))
     assert (chosen["nan_actions"] == chosen["agent_steps"]).all()
     assert (chosen["nan_actions"] > 0).any()
@@ -180,36 +176,37 @@ def test_nan_actions_are_counted_and_driven_by_idm(table: pd.DataFrame, contexts
 
 
 def test_an_interrupted_evaluation_goes_on_where_it_stopped(
-    table: pd.DataFrame, contexts: list[Context], cache: Path, tmp_path: Path
+    table: pd.DataFrame, contexts: list[Context], evaluate: Evaluate, tmp_path: Path
 ) -> None:
     policy = drivers.Counted(tmp_path / "steps", fail_at=3 * STEPS + 3)
-    options = {"workers": 0, "progress": False, "cache": cache, "out": tmp_path / "out"}
     with pytest.raises(EpisodeFailed, match=r"policy policy, context .*, seed .*out of luck"):
-        evaluate_policy(policy, contexts, SEEDS, SHORT, **options)
+        evaluate(policy, contexts, SEEDS, out=tmp_path / "out")
     kept = read_table(tmp_path / "out")
     finished = (kept["policy"] == "policy").sum()
     assert 1 <= finished < 4 and not read_manifest(tmp_path / "out").complete
     policy.limit.write_text(str(10**9))
-    resumed = evaluate_policy(policy, contexts, SEEDS, SHORT, **options)
+    resumed = evaluate(policy, contexts, SEEDS, out=tmp_path / "out")
     assert_frame_equal(resumed, table, check_exact=True)
     steps = policy.steps()
-    evaluate_policy(policy, contexts, SEEDS, SHORT, **options)
+    evaluate(policy, contexts, SEEDS, out=tmp_path / "out")
     assert policy.steps() == steps and read_manifest(tmp_path / "out").complete
 
 
 def test_a_source_is_kept_relative_to_the_folder_that_a_link_leads_to(
-    contexts: list[Context], cache: Path, tmp_path: Path
+    contexts: list[Context], evaluate: Evaluate, tmp_path: Path
 ) -> None:
     (tmp_path / "disk" / "results").mkdir(parents=True)
     (tmp_path / "link").symlink_to(tmp_path / "disk" / "results")
-    options = {"workers": 0, "progress": False, "cache": cache, "out": tmp_path / "link", "name": "mine"}
     record = PolicyRecord("trained", source=str(tmp_path / "mine.pt"), algo="ppo", frames=7)
-    evaluate_policy(drivers.Moody(), contexts[:1], SEEDS[:1], SHORT, record=record, train_seed=3, **options)
+    options = {"record": record, "train_seed": 3, "out": tmp_path / "link", "name": "mine"}
+    evaluate(drivers.Moody(), contexts[:1], SEEDS[:1], **options)
     (kept,) = read_manifest(tmp_path / "link").policies["mine"].items()
     assert kept[0] == 3 and (kept[1].source, kept[1].algo, kept[1].frames) == ("../../mine.pt", "ppo", 7)
 
 
-def test_baselines_are_played_once(contexts: list[Context], cache: Path, table: pd.DataFrame) -> None:
+def test_baselines_are_played_once(
+    contexts: list[Context], cache: Path, table: pd.DataFrame, evaluate: Evaluate
+) -> None:
     """The cache answers: an entry that was altered comes back as it is."""
     setup = Setup({}, dataclasses.replace(SHORT, emit=()))
     entries, played = EpisodeCache(cache, setup), baseline_context(contexts[0])
@@ -218,8 +215,7 @@ def test_baselines_are_played_once(contexts: list[Context], cache: Path, table: 
     assert entries.get("human", played, SEEDS[0], ["team_reward"]) is None, "it was not recorded"
     others = EpisodeCache(cache / "other", setup)
     others.put("human", played, SEEDS[0], found._replace(rows=[{**row, "crossed": 12345.0} for row in found.rows]))
-    options = {"workers": 0, "progress": False, "cache": cache / "other", "baselines": ()}
-    again = evaluate_policy("human", contexts[:1], SEEDS[:1], SHORT, **options)
+    again = evaluate("human", contexts[:1], SEEDS[:1], cache=cache / "other", baselines=())
     assert again["crossed"].tolist() == [12345.0]
 
 
@@ -235,12 +231,10 @@ def test_baselines_are_played_once(contexts: list[Context], cache: Path, table: 
     ],
 )
 def test_a_failing_episode_names_its_context(
-    policy, workers: int, error: type[Exception], message: str, contexts: list[Context], cache: Path
+    policy, workers: int, error: type[Exception], message: str, contexts: list[Context], evaluate: Evaluate
 ) -> None:
     with pytest.raises(error, match=rf"(?s)context {contexts[0].name}, seed {SEEDS[0]}.*{message}"):
-        evaluate_policy(
-            policy, contexts[:1], SEEDS[:1], SHORT, workers=workers, progress=False, cache=cache, baselines=()
-        )
+        evaluate(policy, contexts[:1], SEEDS[:1], workers=workers, baselines=())
 
 
 @pytest.mark.parametrize(
@@ -248,31 +242,25 @@ def test_a_failing_episode_names_its_context(
     [
         ("glied", None, "Did you mean 'glide'"),
         ("no_such_module:f", None, "policy=no_such_module:f: No module named"),
-        ("./mine.py:drive", None, "is not of the form module:name, such as mine:drive"),
-        (":drive", None, "is not of the form module:name"),
-        ("os:", None, "is not of the form module:name"),
         ("os:sep", None, "is a str; name a function"),
-        ("tests.results.odd_policies:nobody", None, "nobody"),
         (drivers.gentle, "human", "another name"),
         (3, None, "int is not a policy"),
     ],
 )
-def test_policies_that_cannot_be_used_are_refused(policy, name: str | None, message: str, easy: Context) -> None:
+def test_policies_that_cannot_be_used_are_refused(
+    policy, name: str | None, message: str, easy: Context, evaluate: Evaluate
+) -> None:
     with pytest.raises(IzooError, match=message):
-        evaluate_policy(policy, [easy], [0], SHORT, workers=0, name=name)
-
-
-def test_nothing_to_evaluate_is_refused(easy: Context) -> None:
+        evaluate(policy, [easy], [0], name=name)
     with pytest.raises(IzooError, match="one or more"):
-        evaluate_policy("human", [easy], [], SHORT)
+        evaluate("human", [easy], [])
 
 
-def test_policies_that_change_lanes_meet_baselines_that_do_as_sumo_has_it(contexts: list[Context], cache: Path) -> None:
+def test_policies_that_change_lanes_meet_baselines_that_do_as_sumo_has_it(
+    contexts: list[Context], evaluate: Evaluate
+) -> None:
     changing = dataclasses.replace(SHORT, lane_change=True)
-    tables = [
-        evaluate_policy(drivers.leftwards, contexts[:1], [11], config, workers=0, progress=False, cache=cache)
-        for config in (changing, SHORT)
-    ]
+    tables = [evaluate(drivers.leftwards, contexts[:1], [11], config=config) for config in (changing, SHORT)]
     for name in ("human", "uncommanded"):
         one, other = (table[table["policy"] == name].reset_index(drop=True) for table in tables)
         assert_frame_equal(one[list(APPROACH_METRICS)], other[list(APPROACH_METRICS)])
@@ -280,14 +268,14 @@ def test_policies_that_change_lanes_meet_baselines_that_do_as_sumo_has_it(contex
 
 @pytest.mark.slow
 def test_a_stopped_process_is_replaced_in_the_time_of_the_watchdog(
-    contexts: list[Context], cache: Path, tmp_path: Path
+    contexts: list[Context], evaluate: Evaluate, tmp_path: Path
 ) -> None:
     """It has ended afterwards, and its episode was played by another."""
     config = dataclasses.replace(SHORT, watchdog_s=3.0)
     policy = drivers.Stopping(tmp_path / "stopped")
     begin = time.monotonic()
-    table = evaluate_policy(policy, contexts[:1], SEEDS, config, workers=2, progress=False, cache=cache)
+    table = evaluate(policy, contexts[:1], SEEDS, config=config, workers=2)
     assert (tmp_path / "stopped").exists() and time.monotonic() - begin < 120.0
-    gentle = evaluate_policy(drivers.gentle, contexts[:1], SEEDS, config, workers=0, progress=False, cache=cache)
+    gentle = evaluate(drivers.gentle, contexts[:1], SEEDS, config=config)
     columns = ["policy", *APPROACH_METRICS]
     assert_frame_equal(table[columns], gentle[columns])

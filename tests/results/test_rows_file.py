@@ -1,7 +1,5 @@
 """Files of rows: what cells hold, and files that were cut short or edited."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The table's columns, volume over capacity by hand, and contexts that are kept."""
 
-from __future__ import annotations
-
 import dataclasses
 import gzip
 import json

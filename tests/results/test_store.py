@@ -1,7 +1,5 @@
 """Results folders: rows are appended whole, finished ones are kept, and what does not fit is one sentence."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -46,11 +44,8 @@ def test_rows_read_back_exactly(table: pd.DataFrame, tmp_path: Path) -> None:
             store.add([row])
     assert_frame_equal(read_table(tmp_path), store.table, check_exact=True)
     manifest = read_manifest(tmp_path)
-    assert (
-        manifest.complete
-        and manifest.task == "a test"
-        and manifest.config("null") == dataclasses.replace(SHORT, emit=EnvConfig().emit)
-    )
+    assert manifest.complete and manifest.task == "a test"
+    assert manifest.config("null") == dataclasses.replace(SHORT, emit=EnvConfig().emit)
 
 
 def test_an_interrupted_folder_goes_on(table: pd.DataFrame, tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Tasks: names, roles and other conditions."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -16,6 +16,7 @@ def test_arrivals_are_ascending_and_lie_within_the_episode():
     times = poisson_arrivals(np.random.default_rng(0), 3.0, 1000.0)
     assert len(times) > 512
     assert (np.diff(times) > 0).all() and times[0] >= 0.0 and times[-1] < 1000.0
+    assert len(poisson_arrivals(np.random.default_rng(0), 0.0, 1000.0)) == 0
 
 
 def test_a_longer_episode_or_a_higher_rate_keeps_the_earlier_vehicles():
@@ -24,10 +25,6 @@ def test_a_longer_episode_or_a_higher_rate_keeps_the_earlier_vehicles():
     dense = poisson_arrivals(np.random.default_rng(1), 2.0, 900.0)
     np.testing.assert_array_equal(long[: len(short)], short)
     np.testing.assert_allclose(dense[: len(short)] * 2.0, short)
-
-
-def test_no_rate_means_no_arrivals():
-    assert len(poisson_arrivals(np.random.default_rng(0), 0.0, 1000.0)) == 0
 
 
 def test_draw_index_never_chooses_an_empty_share():

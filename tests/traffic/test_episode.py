@@ -2,9 +2,7 @@
 
 import dataclasses
 import itertools
-import os
 import subprocess
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -60,12 +58,10 @@ def test_one_vehicle_of_every_approach_is_late():
 
 def test_a_seed_means_the_same_vehicles_forever():
     traffic = sample_traffic(make_context(adoption=0.5), ROAD, 12345, 60.0)
-    np.testing.assert_allclose(
-        traffic.depart_s[:6], [0.144749, 0.955656, 1.103998, 1.778252, 1.858790, 2.426223], atol=1e-6
-    )
-    assert rows(
-        traffic, slice(0, 6), ["approach", "exit", "source", "depart_lane", "is_cv", "moves_class"]
-    ).tolist() == [
+    departures_s = [0.144749, 0.955656, 1.103998, 1.778252, 1.858790, 2.426223]
+    np.testing.assert_allclose(traffic.depart_s[:6], departures_s, atol=1e-6)
+    names = ["approach", "exit", "source", "depart_lane", "is_cv", "moves_class"]
+    assert rows(traffic, slice(0, 6), names).tolist() == [
         [2, 3, 1, 2, 0, 3],
         [1, 1, 3, 0, 1, 1],
         [0, 0, 0, 0, 1, 0],
@@ -162,13 +158,10 @@ def test_streams_belong_to_the_leg_not_to_its_place():
 
 
 def test_a_missing_source_hands_its_traffic_to_the_other():
-    road = Roads(
-        sources=({"AA": "AA2A"}, {"AB": "BB2B"}, *ROAD.sources[2:]), source_lanes=({"AA": (0,)}, {"AB": (0, 1)}) * 2
-    )
-    traffic = sample_traffic(make_context(), road, 0, 900.0)
-    assert (traffic.source[traffic.approach == 0] == 1).all() and (
-        traffic.depart_lane[traffic.approach == 0] == 0
-    ).all()
+    sources, lanes = ({"AA": "AA2A"}, {"AB": "BB2B"}, *ROAD.sources[2:]), ({"AA": (0,)}, {"AB": (0, 1)}) * 2
+    traffic = sample_traffic(make_context(), Roads(sources=sources, source_lanes=lanes), 0, 900.0)
+    first = traffic.approach == 0
+    assert (traffic.source[first] == 1).all() and (traffic.depart_lane[first] == 0).all()
     assert (traffic.source[traffic.approach == 1] == 0).all()
 
 
@@ -217,22 +210,11 @@ def test_human_cvs_keep_a_type_of_their_own(tmp_path):
 
 
 @pytest.mark.parametrize("intersection", ["106", "37", "198"])
-def test_sumo_accepts_the_routes_of_a_real_net(intersection, tmp_path):
-    data = os.environ.get("IZOO_TEST_DATA")
-    if not data:
-        pytest.skip("IZOO_TEST_DATA is not set: the published nets are not part of the project")
-    road = read_road(Path(data) / "salt-lake-city-60" / intersection / "net.net.xml")
-    legs = tuple(
-        Leg(
-            leg,
-            60.0 * k,
-            Approach(("rsl",), 200.0, 15.0, 0.0, 6000.0) if leg in road.approaches else None,
-            1 if leg in road.exits else 0,
-            200.0,
-            15.0,
-        )
-        for k, leg in enumerate(sorted(set(road.approaches) | set(road.exits)))
-    )
+def test_sumo_accepts_the_routes_of_a_real_net(intersection, published, tmp_path):
+    road = read_road(published / intersection / "net.net.xml")
+    side, names = Approach(("rsl",), 200.0, 15.0, 0.0, 6000.0), sorted({*road.approaches, *road.exits})
+    sides = [(name, side if name in road.approaches else None, int(name in road.exits)) for name in names]
+    legs = tuple(Leg(name, 60.0 * k, own, exits, 200.0, 15.0) for k, (name, own, exits) in enumerate(sides))
     traffic = sample_traffic(Context(IntersectionSpec("net", "dataset", legs)), road, 0, 60.0)
     write_routes(traffic, road, tmp_path / "r.rou.xml")
     command = [sumolib.checkBinary("sumo"), "-n", road.path, "-r", str(tmp_path / "r.rou.xml"), "--end", "120"]

@@ -1,7 +1,5 @@
 """A hand-made world for the tests of this room: four equal legs, without a net."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Training episodes beside the same ones without the policy."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import signal

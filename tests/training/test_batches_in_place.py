@@ -1,7 +1,5 @@
 """Batches from the twin do not depend on how many threads act, step and record; torch gets its threads back."""
 
-from __future__ import annotations
-
 import contextlib
 
 import pytest

@@ -1,7 +1,5 @@
 """How a run ends that cannot go on, and who may train in a folder."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import os

@@ -1,7 +1,5 @@
 """Ctrl-C and SIGTERM: a run is saved, its worker processes do not notice, and the exit code says so."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -22,13 +20,12 @@ from tests.training.toy import TOY, begun
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "collector",
-    # The workers on SUMO ignore the signal; the processes of TorchRL's collector end, and the run is saved anyway.
-    ["single", "parallel", "multisync"],
-)
+@pytest.mark.parametrize("collector", ["single", "parallel", "multisync"])
 def test_sigterm_saves_the_run(collector: str, tmp_path: Path) -> None:
-    """Sent twice and to every process of the run, as job schedulers do."""
+    """Sent twice and to every process of the run, as job schedulers do.
+
+    The workers on SUMO ignore the signal; the processes of TorchRL's collector end, and the run is saved anyway.
+    """
     run_dir = tmp_path / "run"
     words = [word for word in TOY if not word.startswith(("collector", "total_frames", "checkpoint"))]
     words += [f"collector={collector}", "total_frames=100000000", "checkpoint.every_batches=100000"]

@@ -1,7 +1,5 @@
 """The learner's device: batches cross to it in one place, and weights come back."""
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
 from typing import Any
@@ -23,19 +21,19 @@ from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.training.learner import Learner, learner_device, to_learner
 from tests.algos import frames
+from tests.conftest import Refused
 
 CPU, OTHER = torch.device("cpu"), torch.device("cpu:0")
 """``cpu:0`` counts as another device, so that everything a GPU needs to be done is done, on a machine without one."""
 FEATURES = len(observation_names(TrainConfig().env))
+OFF: dict[str, Any] = {"hidden": (8,), "minibatch_rows": 16, "learning_starts": 1, "replay_rows": 200}
 CONFIGS = {
     "ppo": TrainConfig(algo=PPOConfig(hidden=(8,), minibatch_rows=16)),
     "mappo": TrainConfig(algo=MAPPOConfig(hidden=(8, 8), minibatch_rows=16)),
     "gcrl": TrainConfig(algo=GCRLConfig(hidden=(8,), minibatch_rows=16)),
-    "ddpg": TrainConfig(algo=DDPGConfig(hidden=(8,), minibatch_rows=16, learning_starts=1, replay_rows=200)),
-    "td3": TrainConfig(algo=TD3Config(hidden=(8,), minibatch_rows=16, learning_starts=1, replay_rows=200)),
-    "prioritised": TrainConfig(
-        algo=DDPGConfig(hidden=(8,), minibatch_rows=16, learning_starts=1, replay_rows=200, priority_alpha=0.6)
-    ),
+    "ddpg": TrainConfig(algo=DDPGConfig(**OFF)),
+    "td3": TrainConfig(algo=TD3Config(**OFF)),
+    "prioritised": TrainConfig(algo=DDPGConfig(**OFF, priority_alpha=0.6)),
     "residual": TrainConfig(algo=PPOConfig(hidden=(8,), minibatch_rows=16), action=ResidualAction()),
 }
 
@@ -133,9 +131,7 @@ def test_batches_cross_whole_but_for_observations_of_empty_slots() -> None:
         assert torch.equal(moved.get((*place, "agents", "observation")), seen * mask.unsqueeze(-1))
 
 
-def test_a_missing_gpu_is_refused(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_missing_gpu_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, refused: Refused) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(IzooError, match="PyTorch finds no GPU"):
         learner_device("cuda")
@@ -144,6 +140,5 @@ def test_a_missing_gpu_is_refused(
     assert learner_device("auto") == torch.device("cuda")
     monkeypatch.undo()
     if not torch.cuda.is_available():
-        assert train.main(["device=cuda", f"run_dir={tmp_path / 'run'}"]) == 2
-        assert "choose device=cpu" in capsys.readouterr().err
+        refused(train.main, ["device=cuda", f"run_dir={tmp_path / 'run'}"], "choose device=cpu")
         assert not (tmp_path / "run").exists()

@@ -1,7 +1,5 @@
 """Every learner learns from one decision per vehicle, and what a vehicle was paid uncommanded is taken from its own."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 from pathlib import Path
@@ -156,11 +154,8 @@ def test_every_learner_learns_in_both_scopes(algo: str, scope: str, tmp_path: Pa
 
 @pytest.mark.slow
 def test_learning_on_sumo_sees_the_same_decisions(tmp_path: Path) -> None:
-    words = [
-        word
-        for word in SMALL
-        if not word.startswith(("simulator", "num_envs", "algo.control_variate", "twin.surrogate"))
-    ]
+    of_the_twin = ("simulator", "num_envs", "algo.control_variate", "twin.surrogate")
+    words = [word for word in SMALL if not word.startswith(of_the_twin)]
     run = tmp_path / "run"
     assert train.main([*words, *ONCE, "num_workers=2", "total_frames=80", f"run_dir={run}"]) == 0
     assert sum(MetricsTable.read(run / METRICS_FILE).series("decisions")[1]) > 20

@@ -1,7 +1,5 @@
 """Learning curves: what is drawn of a run and of several, and that labels and legends can be read."""
 
-from __future__ import annotations
-
 import itertools
 import warnings
 from pathlib import Path
@@ -9,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from izoo.metrics.figures import FIGURES
+from izoo.training import plots
 from izoo.training.loggers import MetricsTable
 from izoo.training.plots import COMPARED, CURVES, curves, draw, learning_curve
 
@@ -29,9 +28,8 @@ def test_labels_stand_apart(tmp_path: Path, frames_per_row: int) -> None:
     assert len(panels) == len(CURVES)
     for axes in panels:
         low, high = axes.get_xlim()
-        shown = [
-            label for tick, label in zip(axes.get_xticks(), axes.get_xticklabels(), strict=True) if low <= tick <= high
-        ]
+        ticks = zip(axes.get_xticks(), axes.get_xticklabels(), strict=True)
+        shown = [label for tick, label in ticks if low <= tick <= high]
         boxes = [label.get_window_extent() for label in shown]
         assert len(boxes) > 2
         assert all(left.x1 + 4 < right.x0 for left, right in itertools.pairwise(boxes)), [s.get_text() for s in shown]
@@ -48,9 +46,8 @@ def test_validations_come_first_with_their_intervals(tmp_path: Path) -> None:
     assert [chart.name for chart in charts] == ["curve-validation-co2-saved", "curve-return"]
     assert FIGURES["co2_saved"].label in charts[0].title and charts[0].alt.endswith("run ends at 10.")
     (axes, _) = draw(charts).axes
-    assert [segment.tolist() for part in axes.collections for segment in part.get_segments()] == [
-        [[1000.0, 2.0], [1000.0, 15.0]]
-    ]
+    segments = [segment.tolist() for part in axes.collections for segment in part.get_segments()]
+    assert segments == [[[1000.0, 2.0], [1000.0, 15.0]]]
     several = curves({"run": [(metrics, validated), (metrics, validated)]})[0]
     assert all(series.low is None for series in several.series if series.kind == "line"), "a band says it"
 
@@ -92,8 +89,6 @@ def test_running_means_are_over_a_fifth_of_the_values(tmp_path: Path) -> None:
 
 
 def test_long_names_of_choices_leave_room_for_the_panels(tmp_path: Path) -> None:
-    from izoo.training import plots
-
     made = table(tmp_path / "m.csv", ["return", "emission_g_per_vehicle"], 50)
     names = [f"a{'x' * 300}1", f"a{'x' * 300}2", "short"]
     figure = draw(curves({plots._shortened(name): [(made, None)] for name in names}, COMPARED))

@@ -1,7 +1,5 @@
 """Every preset that learns by gradients does so from real episodes, with all its hyper-parameters but the sizes."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

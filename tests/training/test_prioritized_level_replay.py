@@ -1,7 +1,5 @@
 """Prioritised level replay: what is drawn, what scores, and that a run is the same whatever the threads."""
 
-from __future__ import annotations
-
 import contextlib
 import copy
 from pathlib import Path

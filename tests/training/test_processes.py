@@ -1,7 +1,5 @@
 """Processes that collect into one batch: each row is what one environment with its own generator would yield."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import multiprocessing

@@ -1,7 +1,5 @@
 """Training and evaluation on a Ray cluster of two nodes, both on this machine."""
 
-from __future__ import annotations
-
 import csv
 import importlib.util
 import os
@@ -20,6 +18,7 @@ from izoo.errors import IzooError
 from izoo.results import ray_cluster as cluster
 from izoo.results import read_table
 from izoo.training import run_folder
+from tests.conftest import Refused
 
 TOY = [
     *("contexts=pcg_easy", "contexts.inflow_vph_per_lane=600", "contexts.lane_length_m=120", "env.horizon_s=75"),
@@ -69,13 +68,8 @@ for mode in ("token", "disabled"):
 
 def run(command: str, words: list[str], address: str) -> None:
     """Run a command of izoo apart, as a driver of the cluster."""
-    done = subprocess.run(
-        [sys.executable, "-m", command, *words],
-        env={**os.environ, "RAY_ADDRESS": address},
-        capture_output=True,
-        text=True,
-        timeout=200,
-    )
+    told, command_line = {**os.environ, "RAY_ADDRESS": address}, [sys.executable, "-m", command, *words]
+    done = subprocess.run(command_line, env=told, capture_output=True, text=True, timeout=200)
     assert done.returncode == 0, done.stderr
 
 
@@ -115,23 +109,21 @@ assert len(history) == 2 and all(reward == reward and rate > 0.0 for reward, rat
     assert "batch 2: reward" in done.stdout
 
 
-def test_a_missing_ray_is_named(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_missing_ray_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, refused: Refused) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(IzooError, match=r"pip install 'izoo\[ray\]'"):
         cluster.connect()
-    assert evaluate.main(["policy=glide", "executor=ray", "num_contexts=1", f"out={tmp_path / 'out'}"]) == 2
-    assert train.main([*TOY, "total_frames=200", f"run_dir={tmp_path / 'run'}"]) == 2
-    assert "pip install 'izoo[ray]'" in capsys.readouterr().err
+    said = "pip install 'izoo[ray]'"
+    refused(evaluate.main, ["policy=glide", "executor=ray", "num_contexts=1", f"out={tmp_path / 'out'}"], said)
+    refused(train.main, [*TOY, "total_frames=200", f"run_dir={tmp_path / 'run'}"], said)
     assert not (tmp_path / "run").exists()
 
 
 @needs_ray
 def test_a_cluster_that_is_not_there_is_named(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, refused: Refused
 ) -> None:
     monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")
-    assert train.main([*TOY, f"run_dir={tmp_path / 'run'}"]) == 2
-    assert "no Ray cluster at 127.0.0.1:1 (RAY_ADDRESS): Connection refused" in capsys.readouterr().err
+    said = "no Ray cluster at 127.0.0.1:1 (RAY_ADDRESS): Connection refused"
+    refused(train.main, [*TOY, f"run_dir={tmp_path / 'run'}"], said)
     assert not (tmp_path / "run").exists()

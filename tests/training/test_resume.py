@@ -1,7 +1,5 @@
 """A run that was killed and resumed ends where an uninterrupted one does."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import shutil
@@ -24,6 +22,7 @@ from izoo.errors import IzooError
 from izoo.training import checkpoint, run_folder
 from izoo.training.command_replay import EpisodeHistories, EpisodeHistory
 from izoo.training.environments import TrainingEnv, training_class
+from tests.conftest import Refused
 from tests.training import toy
 from tests.training.toy import begun
 
@@ -64,24 +63,22 @@ def kill_in_batch(run_dir: Path, words: list[str], batch: int, frames_per_batch:
     assert newest < 1200, "the run was over before it was killed"
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        pytest.param(["collector=single"], id="single-ppo", marks=pytest.mark.slow),
-        # Killed after its imitation, which is a part of its state.
-        pytest.param(
-            ["simulator=twin", "num_envs=4", "action=advise", "algo.warm_start=glide", "algo.warm_start_frames=400"],
-            id="twin-warm-start",
-            marks=pytest.mark.slow,
-        ),
-        pytest.param([*TWIN, *TEAM], id="twin-team", marks=pytest.mark.slow),
-        pytest.param(["collector=parallel", "num_workers=2", *DDPG], id="parallel-ddpg", marks=pytest.mark.slow),
-        pytest.param([*TWIN, *TEAM, *LEVELS], id="twin-levels", marks=pytest.mark.slow),
-        pytest.param([*TWIN, *TD3], id="twin-td3", marks=pytest.mark.slow),
-        pytest.param([*TWIN, "algo=gcrl", *ONCE], id="twin-once-per-vehicle", marks=pytest.mark.slow),
-        pytest.param(["collector=parallel", *ONCE[:3]], id="parallel-once-per-vehicle", marks=pytest.mark.slow),
-    ],
-)
+WARM = ["action=advise", "algo.warm_start=glide", "algo.warm_start_frames=400"]
+"""Killed after its imitation, which is a part of its state."""
+KILLED = {
+    "single-ppo": ["collector=single"],
+    "twin-warm-start": ["simulator=twin", "num_envs=4", *WARM],
+    "twin-team": [*TWIN, *TEAM],
+    "parallel-ddpg": ["collector=parallel", "num_workers=2", *DDPG],
+    "twin-levels": [*TWIN, *TEAM, *LEVELS],
+    "twin-td3": [*TWIN, *TD3],
+    "twin-once-per-vehicle": [*TWIN, "algo=gcrl", *ONCE],
+    "parallel-once-per-vehicle": ["collector=parallel", *ONCE[:3]],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", KILLED.values(), ids=KILLED)
 def test_a_killed_and_resumed_run_ends_like_an_uninterrupted_one(words: list[str], tmp_path: Path) -> None:
     words = [*TOY, *words]
     if words[-1] in (*DDPG, *TD3):
@@ -109,14 +106,8 @@ def test_a_run_that_is_resumed_further_back_gives_up_later_checkpoints_once_it_h
 
 
 def test_an_option_that_is_changed_leaves_the_others_of_its_group_as_they_were(tmp_path: Path) -> None:
-    words = [
-        "simulator=twin",
-        "num_envs=4",
-        "twin.stagger=false",
-        "validation.contexts=3",
-        "validation.every_batches=0",
-    ]
-    stored = compose_config(TrainConfig, words)
+    words = ["simulator=twin", "num_envs=4", "twin.stagger=false", "validation.contexts=3"]
+    stored = compose_config(TrainConfig, [*words, "validation.every_batches=0"])
     run_folder.write_config(tmp_path, stored)
     changed = ["twin.threads=1", "validation.every_batches=2", "num_envs=5", "collector=parallel"]
     found = train.COMMAND.compose([f"resume={tmp_path}", *changed])
@@ -134,18 +125,13 @@ def test_an_option_that_is_changed_leaves_the_others_of_its_group_as_they_were(t
     ],
 )
 def test_a_refused_resumption_leaves_the_run_as_it_was(
-    words: list[str],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     search = ["algo=cmaes", "algo.population=4", "simulator=twin", "num_envs=4", "env.reward=fuel_team"]
     run_folder.write_config(tmp_path, compose_config(TrainConfig, search))
     before = (tmp_path / run_folder.CONFIG_FILE).read_bytes()
-    assert train.main([f"resume={tmp_path}", *words, "total_frames=900000"]) == 2
-    assert message in capsys.readouterr().err
+    refused(train.main, [f"resume={tmp_path}", *words, "total_frames=900000"], message)
     assert (tmp_path / run_folder.CONFIG_FILE).read_bytes() == before
 
 
@@ -182,9 +168,8 @@ def test_episodes_in_progress_are_lived_through_again(steps: int) -> None:
         assert torch.equal(root.get(key), other.get(key)), key
     # To the end of the episode, for its metrics, and into the next one.
     rest = 310 - steps
-    whole, resumed = (
-        play(env, state, rest, torch.Generator().manual_seed(5))[0] for env, state in ((first, root), (second, other))
-    )
+    both = ((first, root), (second, other))
+    whole, resumed = (play(env, state, rest, torch.Generator().manual_seed(5))[0] for env, state in both)
     for key in (MASK, ("next", "agents", "observation"), ("next", "agents", "reward"), ("next", "done")):
         assert torch.equal(whole.get(key), resumed.get(key)), key
     ended = whole.get(("next", "done")).squeeze(-1)
@@ -246,15 +231,11 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("name", [run_folder.CONFIG_FILE, run_folder.METRICS_FILE, "checkpoints/step-000000000050.pt"])
-def test_a_file_that_cannot_be_read_is_one_sentence(
-    name: str, trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_cannot_be_read_is_one_sentence(name: str, trained: Path, tmp_path: Path, refused: Refused) -> None:
     run_dir = shutil.copytree(trained, tmp_path / "run")
     (run_dir / name).write_bytes(bytes(range(256)) * 4)
     kept = {path: path.read_bytes() for path in run_dir.rglob("*") if path.is_file() and path.suffix != ".yaml"}
-    assert train.main([f"resume={run_dir}", "total_frames=100"]) == 2
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert line.startswith("izoo train: cannot read ") and name in line
+    assert name in refused(train.main, [f"resume={run_dir}", "total_frames=100"], "izoo train: cannot read ")
     assert {path: path.read_bytes() for path in kept} == kept
 
 

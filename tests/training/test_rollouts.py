@@ -1,7 +1,5 @@
 """What the collector of the training loop yields, whatever acts and whatever stands around the environment."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Iterator

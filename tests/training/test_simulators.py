@@ -1,7 +1,5 @@
 """The option that says which simulator plays: in training, in collected data and in evaluations."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

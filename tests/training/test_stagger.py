@@ -1,7 +1,5 @@
 """Environments on the twin that begin at random phases of their first episodes."""
 
-from __future__ import annotations
-
 import contextlib
 
 import torch

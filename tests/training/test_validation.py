@@ -1,7 +1,5 @@
 """Validation beside training, on real SUMO."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json
@@ -80,9 +78,8 @@ def test_six_intersections_or_more_give_intervals(tmp_path: Path) -> None:
 def test_validation_changes_nothing_in_training(run_dir: Path, tmp_path: Path) -> None:
     words = [*TOY, "collector=single", "validation.every_batches=0", "total_frames=1000"]
     assert train.main([*words, f"run_dir={tmp_path / 'run'}"]) == 0
-    with_it, without = (
-        run_folder.load_algorithm(folder)[0].state_dict()["policy"] for folder in (run_dir, tmp_path / "run")
-    )
+    folders = run_dir, tmp_path / "run"
+    with_it, without = (run_folder.load_algorithm(folder)[0].state_dict()["policy"] for folder in folders)
     assert all(torch.equal(with_it[key], without[key]) for key in with_it)
     assert not (tmp_path / "run" / validation.VALIDATION_FILE).exists()
     with pytest.raises(IzooError, match="has no best checkpoint"):
@@ -107,16 +104,6 @@ def test_a_checkpoint_is_evaluated_by_its_name(run_dir: Path, tmp_path: Path) ->
         checkpoint.find(run_dir, "77")
     with pytest.raises(IzooError, match=r"config\.yaml is a file that does not lie among a run's checkpoints"):
         checkpoint.find(run_dir / "config.yaml")
-
-
-def wait_for(validator: Validator) -> dict[str, float]:
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline:
-        result = validator.poll()
-        if result or not validator.busy:
-            return result
-        time.sleep(0.05)
-    raise AssertionError("the validation did not end")
 
 
 def test_only_the_newest_of_the_waiting_is_validated(tmp_path: Path) -> None:
@@ -146,7 +133,11 @@ def test_a_failed_validation_is_reported_once_and_training_goes_on(
     validator.submit(path)  # the folder has no config.yaml
     assert validator.busy
     validator.submit(path)  # weights that are being validated are not submitted again
-    assert wait_for(validator) == {} and not validator.busy
+    deadline = time.monotonic() + 120
+    while validator.busy and time.monotonic() < deadline:
+        assert validator.poll() == {}
+        time.sleep(0.05)
+    assert not validator.busy
     error = capsys.readouterr().err
     assert error.count("validation of candidate-000000000100.pt failed") == 1 and "training goes on" in error
     assert "config.yaml" in error

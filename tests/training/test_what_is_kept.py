@@ -1,7 +1,5 @@
 """Searches learn from what teams are paid, so their batches hold no observations; and they learn the same without."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The smallest run on SUMO, two batches of 50 steps with a checkpoint each; and runs in processes of their own."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

@@ -14,7 +14,7 @@ from izoo.contexts.spec import Approach, IntersectionSpec, Leg, SignalPhase, Sig
 from izoo.errors import IzooError
 from izoo.files import read_bytes
 from izoo.networks.representable import check_representable, main_program, offset_s
-from izoo.networks.road import NetReader, RoadNet, parse_net
+from izoo.networks.road import NetReader, RoadNet, parse_net, run_m
 
 _COLOURS = {"G": "G", "g": "g", "y": "y", "Y": "y", "s": "s"}
 _RIGHT_ON_RED = "traffic_light_right_on_red"
@@ -146,7 +146,7 @@ def _right_pockets(road: RoadNet, p: int, rightmost: int, stop: list[int], turns
 
 def _grade(first: np.ndarray, last: np.ndarray) -> float:
     """Mean rise over run from the beginning of the lane shape ``first`` to the end of ``last``, which may be it."""
-    run = sum(float(np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1).sum()) for points in (first, last))
+    run = run_m(first) + run_m(last)
     run = run + float(np.linalg.norm(last[0, :2] - first[-1, :2])) if first is not last else run / 2.0
     return float((last[-1, 2] - first[0, 2]) / run) if run > 0.0 else 0.0
 

@@ -5,18 +5,17 @@ Every movement has the colour of its signal group: movements that are green in t
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon
+from matplotlib.patches import Circle, Polygon
 from matplotlib.ticker import MaxNLocator
 
 from izoo.contexts.cities.compare import feature_table
@@ -137,8 +136,10 @@ def _draw_layout(
     colours: Mapping[tuple[str, str], str],
     streets: Mapping[str, str],
 ) -> None:
+    shown = Circle((0.0, 0.0), layout.extent_m, transform=axes.transData)
     for lane in layout.lanes:
-        axes.add_patch(Polygon(_ribbon(lane.points), facecolor=_ASPHALT, edgecolor=_MARK, linewidth=0.7))
+        ribbon = axes.add_patch(Polygon(_ribbon(lane.points), facecolor=_ASPHALT, edgecolor=_MARK, linewidth=0.7))
+        ribbon.set_clip_path(shown)
     for movement in layout.movements:
         axes.add_patch(Polygon(_ribbon(movement.points), facecolor=_INSIDE, edgecolor="none", zorder=0))
     for movement in layout.movements:
@@ -271,34 +272,26 @@ def save_png(figure: Figure, path: Path | str) -> Path:
     return path
 
 
-@dataclass(frozen=True)
-class DrawnLane:
-    """A lane along its direction of travel, ``[n, 2]``; ``turns`` is empty unless it ends at the stop line."""
+class Drawn(NamedTuple):
+    """A line ``[n, 2]`` in the direction of travel: a lane, with its turns if it ends at the stop line, or a way from
+    one leg to another."""
 
     points: np.ndarray
     turns: str = ""
+    origin: str = ""
+    exit: str = ""
 
 
-@dataclass(frozen=True)
-class DrawnMovement:
-    """A way through the junction, ``[n, 2]``, from one leg to another."""
+class Layout(NamedTuple):
+    """All there is to draw, up to ``extent_m`` from the middle."""
 
-    points: np.ndarray
-    origin: str
-    exit: str
-
-
-@dataclass(frozen=True)
-class Layout:
-    """All there is to draw; ``extent_m`` is the distance from the middle to the ends of the legs."""
-
-    lanes: tuple[DrawnLane, ...]
-    movements: tuple[DrawnMovement, ...]
+    lanes: list[Drawn]
+    movements: list[Drawn]
     extent_m: float
 
 
 def layout_of(road: RoadNet, spec: IntersectionSpec) -> Layout:
-    """Lay out a net: the shapes of its lanes, cut where the legs leave the picture."""
+    """Lay out a net: the shapes of its lanes around the middle of its junction."""
     place, shapes = road.lane_location, [shape[:, :2] for shape in road.shapes]
     ways = [(k, shapes[k], int(road.lane_exit[k])) for k in np.flatnonzero(place == INSIDE)]
     for k, q in np.argwhere(road.next_lane >= 0):
@@ -307,17 +300,14 @@ def layout_of(road: RoadNet, spec: IntersectionSpec) -> Layout:
             ways.append((k, np.array([shapes[k][-1], shapes[onward][0]]), int(q)))
     junction = np.concatenate([points for _, points, _ in ways])
     middle = (junction.min(axis=0) + junction.max(axis=0)) / 2.0
-    extent = float(np.abs(junction - middle).max()) + REACH_M
     lanes = [
-        DrawnLane(_clip(shapes[k] - middle, extent))
-        if place[k] == LEAVING
-        else DrawnLane(_clip(shapes[k][::-1] - middle, extent)[::-1], _turns_at_stop(road, spec, int(k)))
+        Drawn(shapes[k] - middle, "" if place[k] == LEAVING else _turns_at_stop(road, spec, int(k)))
         for k in np.flatnonzero(place != INSIDE)
     ]
     movements = [
-        DrawnMovement(points - middle, road.approaches[road.lane_approach[k]], road.exits[q]) for k, points, q in ways
+        Drawn(points - middle, "", road.approaches[road.lane_approach[k]], road.exits[q]) for k, points, q in ways
     ]
-    return Layout(tuple(lane for lane in lanes if len(lane.points) > 1), tuple(movements), extent)
+    return Layout(lanes, movements, float(np.abs(junction - middle).max()) + REACH_M)
 
 
 def _turns_at_stop(road: RoadNet, spec: IntersectionSpec, lane: int) -> str:
@@ -328,18 +318,3 @@ def _turns_at_stop(road: RoadNet, spec: IntersectionSpec, lane: int) -> str:
     if approach is None or edge != road.incoming_edges[road.approaches.index(leg)][-1]:
         return ""
     return approach.lanes[int(road.lane_index[lane])]
-
-
-def _clip(points: np.ndarray, extent: float) -> np.ndarray:
-    """The part of a line from its beginning until it is ``extent`` m from the middle."""
-    kept = [points[0]]
-    for one, two in itertools.pairwise(points):
-        if np.linalg.norm(one) > extent:
-            break
-        if np.linalg.norm(two) > extent:
-            steps = one + np.linspace(0.0, 1.0, 200)[:, None] * (two - one)
-            kept.append(steps[np.linalg.norm(steps, axis=1) <= extent][-1])
-            break
-        kept.append(two)
-    line = np.array(kept)
-    return line if np.linalg.norm(line[0]) <= extent else line[:1]

@@ -11,6 +11,7 @@ import re
 import numpy as np
 
 from izoo.contexts.spec import IntersectionSpec
+from izoo.networks.road import run_m
 
 _SHAPE = re.compile(r'<lane id="([^"]+)_\d+" [^>]*?shape="([^"]+)"')
 _LEG_EDGE = re.compile(
@@ -28,7 +29,7 @@ def add_heights(text: str, spec: IntersectionSpec) -> str:
     grades = {leg.name: leg.approach.grade for leg in spec.legs if leg.approach is not None}
     if not any(grades.values()):
         return text
-    runs = {edge: _run_m(_points(shape)) for edge, shape in _SHAPE.findall(text)}
+    runs = {edge: run_m(_points(shape)) for edge, shape in _SHAPE.findall(text)}
     pocket = {leg: runs.get(f"{leg}2TL_intern", 0.0) for leg in grades}
     before = {leg: pocket[leg] + runs.get(f":{leg}_intern_0", 0.0) for leg in grades}
     beyond = {"pocket": dict.fromkeys(grades, 0.0), "joint": pocket, "main": before}
@@ -59,7 +60,3 @@ def add_heights(text: str, spec: IntersectionSpec) -> str:
 
 def _points(shape: str) -> np.ndarray:
     return np.array([[float(value) for value in point.split(",")[:2]] for point in shape.split()])
-
-
-def _run_m(points: np.ndarray) -> float:
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())

@@ -14,11 +14,11 @@ import json
 import math
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from izoo.errors import IzooError
 from izoo.files import expanded
@@ -174,18 +174,14 @@ REGIONS_FILE = "left_hand_regions.json"
 
 
 @functools.cache
-def _regions() -> dict[str, list[list[list[float]]]]:
-    return json.loads(resources.files(__package__).joinpath(REGIONS_FILE).read_text("utf-8"))
+def _regions() -> dict[str, list[Any]]:
+    from matplotlib.path import Path as Outline
+
+    regions = json.loads(resources.files(__package__).joinpath(REGIONS_FILE).read_text("utf-8"))
+    return {name: [Outline(points) for points in outlines] for name, outlines in regions.items()}
 
 
 def left_hand_region(lon: float, lat: float) -> str | None:
     """Return the region where traffic drives on the left that holds a place, or ``None``."""
-    return next((name for name, outlines in _regions().items() if any(_inside(lon, lat, o) for o in outlines)), None)
-
-
-def _inside(lon: float, lat: float, outline: Sequence[Sequence[float]]) -> bool:
-    inside = False
-    for (x0, y0), (x1, y1) in zip(outline, (*outline[1:], outline[0]), strict=True):
-        if (y0 > lat) != (y1 > lat) and lon < x0 + (lat - y0) / (y1 - y0) * (x1 - x0):
-            inside = not inside
-    return inside
+    regions = _regions().items()
+    return next((name for name, outlines in regions if any(o.contains_point((lon, lat)) for o in outlines)), None)

@@ -4,8 +4,6 @@ A free comparison (:mod:`izoo.benchmarks.fidelity.single_vehicle`) ends with the
 may follow from it. Here each difference is one step old, so that a single episode shows all causes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Small signalised crossroads in the convention of the measured nets, and vehicles that meet there."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Best lanes against ``vehicle.getBestLanes`` of the installed SUMO."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Arithmetic of car following to the last bit."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

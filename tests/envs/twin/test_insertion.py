@@ -1,7 +1,5 @@
 """Vehicles enter the twin in the step in which they enter SUMO, and the same ones are dropped."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import tempfile

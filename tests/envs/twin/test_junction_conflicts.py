@@ -1,7 +1,5 @@
 """Where ways cross, merge and diverge: against the distances of vehicles to their junction foes in SUMO."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 
@@ -11,9 +9,7 @@ from defusedxml import ElementTree
 from izoo.contexts.source import ContextList
 from izoo.envs.sumo.session import SumoSession, import_libsumo, sumo_arguments
 from izoo.envs.twin.junction.foes import id_sorts_before
-from izoo.envs.twin.net.conflicts import (
-    NOWHERE,
-)
+from izoo.envs.twin.net.conflicts import NOWHERE
 from izoo.envs.twin.net.reader import TwinWorld, read_twin_world
 from izoo.networks.road import read_road
 from tests.envs.twin.crossroads import build_crossroads
@@ -30,7 +26,7 @@ def distances_of_sumo(net: Path, folder: Path) -> dict[Pair, Place]:
     length = {lane.get("id"): float(lane.get("length")) for lane in root.iter("lane")}
     links = [c for c in root.iter("connection") if c.get("tl") == "TL"]
     found: dict[Pair, Place] = {}
-    for pair in itertools.permutations(links, 2):
+    for pair in itertools.combinations(links, 2):
         starts = [f"{c.get('from')}_{c.get('fromLane')}" for c in pair]
         if starts[0] == starts[1]:
             continue
@@ -45,15 +41,12 @@ def distances_of_sumo(net: Path, folder: Path) -> dict[Pair, Place]:
         session.load(sumo_arguments(net, routes, 1, 0.5))
         for _ in range(2):
             session.advance()
-        if len(libsumo.vehicle.getIDList()) == 2:
-            to_line = [
-                length[libsumo.vehicle.getLaneID(str(k))] - libsumo.vehicle.getLanePosition(str(k)) for k in (0, 1)
-            ]
-            if [libsumo.vehicle.getLaneID(str(k)) for k in (0, 1)] == starts:
-                for _, ego, foe, ego_end, _, lane, other, yields, foe_yields in libsumo.vehicle.getJunctionFoes(
-                    "0", 200
-                ):
-                    found[lane, other] = (ego - to_line[0], ego_end - ego, foe - to_line[1], yields, foe_yields)
+        names = libsumo.vehicle.getIDList()
+        if len(names) == 2 and [libsumo.vehicle.getLaneID(name) for name in "01"] == starts:
+            to_line = [length[start] - libsumo.vehicle.getLanePosition(str(k)) for k, start in enumerate(starts)]
+            for k in (0, 1):
+                for _, ego, foe, end, _, lane, other, *yields in libsumo.vehicle.getJunctionFoes(str(k), 200):
+                    found[lane, other] = (ego - to_line[k], end - ego, foe - to_line[1 - k], *yields)
     session.close()
     return found
 
@@ -66,13 +59,9 @@ def distances_of_twin(world: TwinWorld) -> dict[Pair, Place]:
         first, count = net.links[["first_conflict", "conflicts"]][link]
         for conflict in net.conflicts[first : first + count]:
             own, foe = int(net.links["from_lane"][link]), int(conflict["lane"])
-            before = [
-                float(net.lanes["length"][via]) if via != lane else 0.0
-                for lane, via in (
-                    (own, net.links["via_lane"][net.links["entry"][link]]),
-                    (foe, net.links["via_lane"][conflict["entry"]]),
-                )
-            ]
+            entries = zip((own, foe), (net.links["entry"][link], conflict["entry"]), strict=True)
+            vias = [(lane, net.links["via_lane"][entry]) for lane, entry in entries]
+            before = [float(net.lanes["length"][via]) if via != lane else 0.0 for lane, via in vias]
             if conflict["to_end"] == 0.0 and conflict["foe_to_end"] == NOWHERE:
                 continue  # No place: a vehicle before its waiting point that will merge.
             found[world.lane_ids[own], world.lane_ids[foe]] = (

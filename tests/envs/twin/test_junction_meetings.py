@@ -1,7 +1,5 @@
 """Vehicles that meet at a signal drive on the twin as in SUMO, for many departure times."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Lane changing: on several lanes, and beside queues, every vehicle is where SUMO has it in every step."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

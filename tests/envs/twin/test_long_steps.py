@@ -1,7 +1,5 @@
 """Steps of 1 s on short approaches: with commands or without, the twin drops no vehicle and jams like SUMO."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable
 

@@ -3,8 +3,6 @@
 Each net is here for a rule that only shows with many interacting vehicles.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

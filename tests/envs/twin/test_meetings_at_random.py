@@ -1,7 +1,5 @@
 """Random vehicles at random signals: the number of episodes in which the twin differs from SUMO."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Episodes that are prepared ahead, by a thread or by processes, are the same, and so are their failures."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import functools

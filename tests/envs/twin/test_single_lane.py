@@ -1,7 +1,5 @@
 """On one lane every vehicle is where SUMO has it, in every step: one and two vehicles, and whole episodes."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Threads that share work: all have ended before a failure is raised."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 
