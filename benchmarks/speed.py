@@ -39,7 +39,7 @@ class SpeedConfig:
         rows: what is measured.
         scenario: the traffic; ``two_lanes`` has some 30 vehicles, ``light``, ``medium`` and ``heavy`` 20, 60 and 190.
         envs: environments on the twin; the last is also measured with a policy and in training.
-        threads: threads of the twin; empty: one, and one per core.
+        threads: threads of the twin, at most one per environment; empty: one, and one per core.
         surrogate: what computes CO2 on the twin.
         workers: processes of SUMO.
         starting: environments whose start is measured, each with a net of its own.
@@ -98,7 +98,7 @@ def plan(config: SpeedConfig) -> Iterator[tuple[str, Callable[[], list[Row]]]]:
     if "twin" in config.rows:
         for envs in config.envs:
             # Thousands of environments take a minute to begin, so they are not measured with fewer threads.
-            for count in (count for count in threads if count <= envs and (envs <= last or count == most)):
+            for count in dict.fromkeys(min(count, envs) for count in (threads if envs <= last else (most,))):
                 yield (
                     f"twin {envs} x {count}",
                     functools.partial(rows.on_twin, context, seconds, envs, count, surrogate),

@@ -63,8 +63,8 @@ def draw(scene: Scene, *, span_m: float = 120.0, size_px: int = 640) -> np.ndarr
 
 def junction_centre(road: RoadNet) -> np.ndarray:
     """Return the mean ``[2]`` of the stop-line ends of all approaching lanes, in m."""
-    ends = [road.shapes[lane][-1, :2] for lane in _stop_lanes(road)]
-    return np.mean(ends, axis=0)
+    shapes = road.shapes
+    return np.mean([shapes[lane][-1, :2] for lane in _stop_lanes(road)], axis=0)
 
 
 def _stop_lanes(road: RoadNet) -> list[int]:
@@ -76,9 +76,10 @@ def _stop_lanes(road: RoadNet) -> list[int]:
 
 
 def _draw_lanes(axes: Any, road: RoadNet, points_per_m: float) -> None:
-    for shape in road.shapes:
+    shapes = road.shapes
+    for shape in shapes:
         axes.plot(*shape[:, :2].T, color="#5b6168", lw=_LANE_WIDTH_M * points_per_m, solid_capstyle="butt", zorder=1)
-    for lane, shape in enumerate(road.shapes):
+    for lane, shape in enumerate(shapes):
         if road.lane_left[lane] >= 0 and road.lane_location[lane] != 1:
             step = shape[-1, :2] - shape[0, :2]
             normal = np.array([-step[1], step[0]]) / max(float(np.linalg.norm(step)), 1e-9)
@@ -87,11 +88,12 @@ def _draw_lanes(axes: Any, road: RoadNet, points_per_m: float) -> None:
 
 
 def _draw_signals(axes: Any, road: RoadNet, colour: np.ndarray, points_per_m: float) -> None:
+    shapes = road.shapes
     for lane in _stop_lanes(road):
         p = road.lane_approach[lane]
         exits = [q for q in range(len(road.exits)) if road.next_lane[lane, q] >= 0]
         best = min((int(colour[p, q]) for q in exits), default=2)
-        shape = road.shapes[lane][-2:, :2]
+        shape = shapes[lane][-2:, :2]
         step = (shape[1] - shape[0]) / max(float(np.linalg.norm(shape[1] - shape[0])), 1e-9)
         normal = np.array([-step[1], step[0]]) * _LANE_WIDTH_M / 2 * 0.9
         ends = np.stack([shape[1] - normal, shape[1] + normal])
@@ -101,9 +103,10 @@ def _draw_signals(axes: Any, road: RoadNet, colour: np.ndarray, points_per_m: fl
 def _draw_vehicles(axes: Any, road: RoadNet, vehicles: dict[str, np.ndarray]) -> None:
     from matplotlib.patches import Polygon
 
+    shapes = road.shapes
     for v in range(len(vehicles["is_cv"])):
         lane, length = int(vehicles["region_lane"][v]), float(vehicles["length_m"][v])
-        x, y, heading = vehicle_pose(road.shapes[lane], road.lane_length[lane], vehicles["lane_position_m"][v])
+        x, y, heading = vehicle_pose(shapes[lane], road.lane_length[lane], vehicles["lane_position_m"][v])
         ahead = np.array([np.cos(heading), np.sin(heading)])
         side = np.array([-ahead[1], ahead[0]]) * _VEHICLE_WIDTH_M / 2
         front = np.array([x, y])

@@ -26,15 +26,16 @@ class Simulation:
     Attributes:
         config: the environment's settings.
         net, road: file of the net, and what it says.
-        episode: turns what the simulator reports into frames; ``episode.traffic`` is to be simulated.
+        episode: turns what the simulator reports into frames.
+        traffic: what is to be simulated.
     """
 
     def __init__(self, config: EnvConfig, frame: dict[str, np.ndarray], play: Play) -> None:
         self.config = config
         self.net = build_net(play.context.intersection)
         self.road = read_road(self.net)
-        traffic = episode_traffic(config, play.context, self.road, play.seed)
-        self.episode = Episode(config, frame, load_weights(), *play, self.road, traffic)
+        self.traffic = episode_traffic(config, play.context, self.road, play.seed)
+        self.episode = Episode(config, frame, load_weights(), *play, self.road, self.traffic)
 
     def step(self) -> None:
         """Carry out the episode's commands, simulate one step, and let the episode write the frame."""

@@ -57,6 +57,7 @@ constant; ``Annotated[np.ndarray, "float64", 2, 8]`` has eight. A field may also
 WORDS = 4
 """Words of a directory per array: address, then the length of up to three dimensions."""
 _WORD = ir.IntType(64)
+_WORD_BYTES = 8
 
 
 def _digest(what: Any) -> str:
@@ -97,15 +98,18 @@ class TableType(types.Type):
 
 
 class TablesType(types.Type):
-    """Numba's type of a directory: which arrays, of what type, in which order."""
+    """Numba's type of a directory: which arrays, of what type, in which order.
+
+    Attributes:
+        dtypes: of the elements of each table.
+        inner: types of the directories that are fields, by name.
+    """
 
     def __init__(self, owner: str, fields: tuple[tuple[str, Any, int, int], ...], constant: bool) -> None:
         self.owner, self.fields, self.constant = owner, fields, constant
+        self.inner = {name: dtype for name, dtype, *_ in fields if isinstance(dtype, TablesType)}
+        self.dtypes = {name: np.dtype(dtype) for name, dtype, *_ in fields if name not in self.inner}
         super().__init__(name=f"Tables({owner}: {_digest(fields)}, {constant})")
-
-    def dtype_of(self, name: str) -> np.dtype:
-        """Return the type of the elements of the table ``name``."""
-        return np.dtype(next(dtype for field, dtype, *_ in self.fields if field == name))
 
     def table_type(self, name: str) -> TablesType | TableType | RecordType | None:
         """Return the type of the table ``name``; those of three dimensions are not for compiled code."""
@@ -138,28 +142,35 @@ def directory(tables: Any, kind: TablesType) -> np.ndarray:
     Raises:
         IzooError: an array has another type or shape than ``kind`` says, or is not contiguous.
     """
-    inner = {name: directory(getattr(tables, name), dtype) for name, dtype, *_ in kind.fields if _is_inner(dtype)}
-    own = len(kind.fields) * WORDS
-    words = np.concatenate([np.zeros(own, np.int64), *inner.values()])
-    end = words.ctypes.data + own * words.itemsize
-    for row, (name, dtype, dimensions, columns) in zip(words[:own].reshape(-1, WORDS), kind.fields, strict=True):
-        if _is_inner(dtype):
-            row[0], end = end, end + inner[name].nbytes
-            continue
-        array = getattr(tables, name)
-        wide = columns == 0 or array.shape[-1] == columns
-        if array.dtype != np.dtype(dtype) or array.ndim != dimensions or not wide or not array.flags.c_contiguous:
-            raise IzooError(
-                f"{kind.owner}.{name} is {array.dtype} of shape {array.shape}; compiled code needs {dtype} with "
-                f"{dimensions} dimensions{f' and {columns} columns' if columns else ''}, contiguous."
-            )
-        row[0] = array.ctypes.data
-        row[1 : 1 + dimensions] = array.shape
+    words = np.empty(_count_words(kind), np.int64)
+    words[:] = _words(tables, kind, words.ctypes.data)
     return words
 
 
-def _is_inner(dtype: Any) -> bool:
-    return isinstance(dtype, TablesType)
+def _count_words(kind: TablesType) -> int:
+    return len(kind.fields) * WORDS + sum(map(_count_words, kind.inner.values()))
+
+
+def _words(tables: Any, kind: TablesType, address: int) -> list[int]:
+    """Return the words of a directory that is to lie at ``address``; behind its own come those of its inner ones."""
+    own: list[int] = []
+    inner: list[int] = []
+    behind = address + len(kind.fields) * WORDS * _WORD_BYTES
+    for name, _, dimensions, columns in kind.fields:
+        array = getattr(tables, name)
+        if name in kind.inner:
+            own += (behind + len(inner) * _WORD_BYTES, 0, 0, 0)
+            inner += _words(array, kind.inner[name], own[-WORDS])
+            continue
+        shape, dtype = array.shape, kind.dtypes[name]
+        wide = columns == 0 or shape[-1] == columns
+        if array.dtype != dtype or len(shape) != dimensions or not wide or not array.flags.c_contiguous:
+            raise IzooError(
+                f"{kind.owner}.{name} is {array.dtype} of shape {shape}; compiled code needs {dtype} with "
+                f"{dimensions} dimensions{f' and {columns} columns' if columns else ''}, contiguous."
+            )
+        own += (array.ctypes.data, *shape, *(0,) * (WORDS - 1 - dimensions))
+    return own + inner
 
 
 @register_model(TablesType)

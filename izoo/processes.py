@@ -127,7 +127,7 @@ def send(connection: socket.socket, message: bytes) -> None:
     connection.sendall(_LENGTH.pack(len(message)) + message)
 
 
-def receive(connection: socket.socket) -> bytes:
+def receive(connection: socket.socket) -> bytearray:
     """Return a message that :func:`send` sent.
 
     Raises:
@@ -137,15 +137,15 @@ def receive(connection: socket.socket) -> bytes:
     return _exactly(connection, length)
 
 
-def _exactly(connection: socket.socket, length: int) -> bytes:
-    chunks = []
-    while length:
-        chunk = connection.recv(min(length, 1 << 20))
-        if not chunk:
+def _exactly(connection: socket.socket, length: int) -> bytearray:
+    message = bytearray(length)
+    rest = memoryview(message)
+    while rest:
+        received = connection.recv_into(rest)
+        if not received:
             raise EOFError
-        chunks.append(chunk)
-        length -= len(chunk)
-    return b"".join(chunks)
+        rest = rest[received:]
+    return message
 
 
 def end_with_parent(descriptor: int, end: Callable[[], object] = lambda: os._exit(1)) -> None:

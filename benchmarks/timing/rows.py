@@ -178,7 +178,10 @@ def training(context: Context, seconds: float, envs: int, threads: int, surrogat
 
 
 def start(envs: int, threads: int, surrogate: str) -> Row:
-    """The first reset of environments that all have other nets, none of which is in the cache."""
+    """The first reset of environments that all have other nets, none of which is in the cache.
+
+    Their memory is measured when the next episode of each is prepared, too.
+    """
     config = EnvConfig(emit=())
     with contextlib.closing(TwinEnv(1, EASY, config=config, surrogate=surrogate)) as warm:
         warm.reset()
@@ -192,6 +195,7 @@ def start(envs: int, threads: int, surrogate: str) -> Row:
                 begin = time.perf_counter()
                 env.reset()
                 took_s = time.perf_counter() - begin
+                _prepared(env)
                 each_mb = (_resident_mb() - held_mb) / envs
         finally:
             os.environ.pop(CACHE_ENV)

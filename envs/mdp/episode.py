@@ -112,7 +112,7 @@ class Episode:
                 f"env.num_approaches is {config.num_approaches}; set it to {ways} or more."
             )
         self.config, self.frame = config, frame
-        self.context, self.seed, self.number, self.road, self.traffic = context, seed, number, road, traffic
+        self.context, self.seed, self.number, self.road = context, seed, number, road
         self._yielding = 0
         self._weights = weights
         demand = demand_records(config, context, road, traffic, weights)
@@ -289,10 +289,11 @@ class Episode:
 
     def _add_to_sums(self, name: str, numbers: np.ndarray, values: np.ndarray | float) -> None:
         """Add values of vehicles of the demand to a sum of their approaches, and of their movements."""
-        approach = self.traffic.approach[numbers]
+        demand = self.tables.demand[numbers]
+        approach = demand["approach"]
         np.add.at(self.tables.sums[name], approach, values)
         if name in OF_COHORT:
-            turn = self.road.movement_turn[approach, self.traffic.exit[numbers]]
+            turn = self.road.movement_turn[approach, demand["exit"]]
             values = np.broadcast_to(values, turn.shape)
             for number, movement in enumerate(MOVEMENTS):
                 chosen = turn == number

@@ -144,11 +144,10 @@ FEATURE_VALUES: dict[str, Callable[[Context, RoadNet], Any]] = {
 
 def observed_table(context: Context, road: RoadNet, names: Sequence[str]) -> np.ndarray:
     """Return ``[P, Q, O]`` scaled values of the named features for every movement of the net."""
-    shape = road.movement_turn.shape
-    columns = [np.broadcast_to(np.asarray(FEATURE_VALUES[name](context, road), float), shape) for name in names]
-    if not columns:
-        return np.zeros((*shape, 0))
-    return np.stack(columns, axis=-1) / np.array([BY_NAME[name].scale for name in names])
+    table = np.empty((*road.movement_turn.shape, len(names)))
+    for k, name in enumerate(names):
+        table[..., k] = FEATURE_VALUES[name](context, road)
+    return table / np.array([BY_NAME[name].scale for name in names])
 
 
 def neighbour_columns(neighbours: Sequence[str]) -> np.ndarray:

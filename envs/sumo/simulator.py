@@ -66,7 +66,7 @@ class SumoSimulation(Simulation):
         self._lane_numbers = {name: number for number, name in enumerate(self.road.lane_ids)}
         self._entry_edges = entry_edges(self.road, play.context.demand_approaches, config.step_s)
         self._is_entry_lane = np.array([name.rsplit("_", 1)[0] in self._entry_edges for name in self.road.lane_ids])
-        self._due = _due_by_step(self.episode.traffic.depart_s, config)
+        self._due = _due_by_step(self.traffic.depart_s, config)
         self._elapsed = 0
         self._departed: set[str] = set()
         self._collided: set[tuple[str, str]] = set()
@@ -80,7 +80,7 @@ class SumoSimulation(Simulation):
         os.close(descriptor)
         self._routes = Path(name)
         try:
-            write_routes(episode.traffic, self.road, self._routes)
+            write_routes(self.traffic, self.road, self._routes)
             with readable_paths(self.net, self._routes) as (net_file, route_file):
                 self.session.load(sumo_arguments(net_file, route_file, episode.seed, self.config.step_s))
         except IzooError as error:

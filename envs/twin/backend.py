@@ -73,7 +73,7 @@ class TwinBackend:
         check_settings(config)
         self.config, self.num_envs, self.surrogate = config, num_envs, surrogate
         self.wanted_threads, self.threads = threads, min(threads, num_envs)
-        self.frames = map_frames(bytearray(frame_bytes(config, num_envs)), config, num_envs)
+        self.frames = map_frames(np.zeros(frame_bytes(config, num_envs), np.uint8), config, num_envs)
         self._runs: list[TwinRun | None] = [None] * num_envs
         self._addresses = np.zeros((num_envs, ADDRESSES), np.int64)
         self._left = np.zeros(num_envs, np.int64)

@@ -75,7 +75,8 @@ class RoadNet:
         segment_start: ``[L + 1]`` where a lane's segments begin in the next two arrays.
         segment_from_m: lane position at which a straight piece of the lane begins.
         segment_grade_pct: its grade in percent along the driving direction.
-        shapes: ``L`` arrays ``[n, 3]`` of lane geometry in m.
+        shape_points_m: ``[n, 3]`` geometry of the lanes, one behind the other.
+        shape_start: ``[L + 1]`` where a lane's points begin.
     """
 
     path: str
@@ -113,7 +114,13 @@ class RoadNet:
     segment_start: np.ndarray
     segment_from_m: np.ndarray
     segment_grade_pct: np.ndarray
-    shapes: tuple[np.ndarray, ...] = field(repr=False)
+    shape_points_m: np.ndarray = field(repr=False)
+    shape_start: np.ndarray = field(repr=False)
+
+    @property
+    def shapes(self) -> list[np.ndarray]:
+        """``L`` arrays ``[n, 3]`` of lane geometry in m."""
+        return np.split(self.shape_points_m, self.shape_start[1:-1])
 
 
 def read_road(path: str | Path) -> RoadNet:
@@ -216,7 +223,8 @@ class NetReader:
             **self._successors(),
             **self._neighbours(),
             **self._segments(),
-            shapes=tuple(row["shape"] for row in self.rows),
+            shape_points_m=np.concatenate([row["shape"] for row in self.rows]),
+            shape_start=np.cumsum([0, *(len(row["shape"]) for row in self.rows)]),
         )
 
     def _add_edge(self, edge: str, location: int, approach: int, exit_: int) -> None:

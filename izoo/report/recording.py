@@ -107,7 +107,8 @@ def geometry(road: RoadNet) -> dict[str, Any]:
         for lane in range(len(road.lane_ids))
         if road.lane_location[lane] == APPROACHING and abs(road.lane_offset_m[lane] + road.lane_length[lane]) < 1e-6
     ]
-    centre = np.mean([road.shapes[lane][-1, :2] for lane in stop], axis=0)
+    shapes = road.shapes
+    centre = np.mean([shapes[lane][-1, :2] for lane in stop], axis=0)
     lanes = [
         {
             "p": np.round(shape[:, :2] - centre, 2).ravel().tolist(),
@@ -115,7 +116,7 @@ def geometry(road: RoadNet) -> dict[str, Any]:
             "w": int(road.lane_location[lane]),
             "s": int(road.lane_left[lane] >= 0 and not road.lane_ids[lane].startswith(":")),
         }
-        for lane, shape in enumerate(road.shapes)
+        for lane, shape in enumerate(shapes)
     ]
     stops = [[lane, int(road.lane_approach[lane]), np.flatnonzero(road.next_lane[lane] >= 0).tolist()] for lane in stop]
     return {"lanes": lanes, "stops": stops, "approaches": list(road.approaches), "exits": list(road.exits)}

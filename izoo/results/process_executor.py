@@ -191,7 +191,7 @@ def worker_main(descriptor: int, setup: int) -> None:
             send(connection, pickle.dumps(answer(player, receive(connection))))
 
 
-def answer(player: Any, message: bytes) -> tuple[str, Any]:
+def answer(player: Any, message: bytes | bytearray) -> tuple[str, Any]:
     """Return ``("played", what it came to)`` of a pickled play, or ``refused`` or ``failed`` and why."""
     try:
         return "played", player.play(cloudpickle.loads(message))

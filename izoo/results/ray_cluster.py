@@ -6,6 +6,7 @@ import logging
 import os
 import socket
 import sys
+import warnings
 from typing import Any
 
 from izoo.errors import IzooError
@@ -13,6 +14,16 @@ from izoo.errors import IzooError
 WORKER_RESOURCES = {"num_cpus": 1, "num_gpus": 0}
 """What a simulating process asks of the cluster: one core."""
 CONNECT_S = 10.0
+
+
+def collecting(cores: int = 1) -> dict[str, Any]:
+    """Return what a process that collects batches for a learner asks of the cluster.
+
+    It hands tensors over as they lie in memory: pickled, a batch would be copied four times more. What it hands over
+    must not be written to; a ``RayCollector`` with ``sync=True`` stacks it, which copies it.
+    """
+    warnings.filterwarnings("ignore", "The given NumPy array is not writable", UserWarning)
+    return {"num_cpus": cores, "num_gpus": 0, "runtime_env": {"env_vars": {"RAY_ENABLE_ZERO_COPY_TORCH_TENSORS": "1"}}}
 
 
 def connect() -> Any:

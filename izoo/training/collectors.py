@@ -144,7 +144,7 @@ def _ray_collector(
         exploration_type=ExplorationType.RANDOM,
         trust_policy=True,
         collector_kwargs={"track_traj_ids": False, "auto_register_policy_transforms": False},
-        remote_configs=ray_cluster.WORKER_RESOURCES,
+        remote_configs=ray_cluster.collecting(),
         sync=True,
     )
     collector.update_policy_weights_(policy)

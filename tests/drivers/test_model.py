@@ -67,7 +67,7 @@ def test_one_step_is_the_simulators(tmp_path: Path) -> None:
     config = EnvConfig(emit=("vehicles",), horizon_s=150.0)
     with contextlib.closing(EcoDrivingEnv(context, config=config)) as env:
         path = write_trajectories(env.rollout(config.control_steps), tmp_path / "trajectories.csv")
-        traffic = env.backend.simulation().episode.traffic
+        traffic = env.backend.simulation().traffic
     data = read_following([path], ReadConfig())[0]["light"]
     rows = np.array(data.drivers, dtype=int)
     columns = (np.full(len(rows), 16.0), traffic.min_gap_m[rows], traffic.tau_s[rows], traffic.accel_mps2[rows])

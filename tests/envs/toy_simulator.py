@@ -17,7 +17,7 @@ class Toy(Simulation):
         super().__init__(config, frame, play)
         self.cars: dict[int, list[Any]] = {}  # by row: lane, position, speed, commanded speed, exit
         self.due: list[int] = []
-        self.waiting = np.flatnonzero(self.episode.traffic.depart_s >= config.warmup_s).tolist()
+        self.waiting = np.flatnonzero(self.traffic.depart_s >= config.warmup_s).tolist()
         self.episode.begin(self.reading(), config.warmup_s, [])
 
     def reading(self) -> Reading:
@@ -26,7 +26,7 @@ class Toy(Simulation):
         return lane.astype(np.int64), position, speed, np.zeros(len(cars), np.int64)
 
     def step(self) -> None:
-        episode, road, traffic, step_s = self.episode, self.road, self.episode.traffic, self.config.step_s
+        episode, road, traffic, step_s = self.episode, self.road, self.traffic, self.config.step_s
         commands = episode.commands()
         for row in commands.release.tolist():
             self.cars[row][3] = None

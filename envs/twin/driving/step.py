@@ -34,16 +34,12 @@ from izoo.envs.twin.runtime.prefetch import fetch_some, lines_for_each
 from izoo.envs.twin.runtime.scratch import Desk, Shapes, zeros
 
 
-def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> TwinState:
-    """Return the state at the beginning of an episode, without vehicles on the road.
-
-    Args:
-        net, traffic: of the episode.
-        desk: working memory; by default its own.
-    """
+def state_shapes(net: TwinNet, traffic: TwinTraffic) -> tuple[Shapes, Shapes]:
+    """Return the shapes of a state's lasting arrays, in the order of their memory, and of its working memory."""
     lanes, links, count = len(net.lanes), len(net.links), len(traffic.drivers)
     items = MAX_ITEMS_PER_VEHICLE * (count + 1)
-    lengths: Shapes = {
+    seen = net.edges["lanes"][net.edges["inside"] != 0]
+    lasting: Shapes = {
         "clock": (),
         "lanes": lanes,
         "tails": (lanes, MAX_TAIL_LANES),
@@ -57,7 +53,7 @@ def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> T
         "tail_lane": (count, MAX_TAIL_LANES),
         "waiting_next": count,
         "advice": (count, MAX_ADVICES),
-        "room_seen": (count, MAX_LANES_SEEN),
+        "room_seen": (count, min(int(seen.max(initial=1)), MAX_LANES_SEEN)),
     }
     working: Shapes = {
         "link_first": links,
@@ -70,7 +66,18 @@ def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk | None = None) -> T
         "lane_room_before": lanes,
         "moved": count,
     }
-    state = TwinState(**zeros(STATE, lengths), **(desk or Desk()).spread(STATE, working))
+    return lasting, working
+
+
+def new_state(net: TwinNet, traffic: TwinTraffic, desk: Desk) -> TwinState:
+    """Return the state at the beginning of an episode, without vehicles on the road.
+
+    Args:
+        net, traffic: of the episode.
+        desk: working memory.
+    """
+    lasting, working = state_shapes(net, traffic)
+    state = TwinState(**zeros(STATE, lasting), **desk.spread(STATE, working))
     for name in ("tail_lane", "tails", "waiting_first", "waiting_last", "waiting_next"):
         getattr(state, name)[:] = -1
     state.vehicles["command"], state.vehicles["top_speed"] = np.nan, TOP_SPEED_MPS

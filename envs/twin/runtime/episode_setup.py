@@ -182,7 +182,8 @@ class TwinRun:
 def _lanes_of(edges: Iterable[str], names: TwinWorld) -> np.ndarray:
     """Return the rows of the lanes of edges, int32: edge after edge, rightmost lane first."""
     table = names.net.edges
-    rows = {name: row for row, name in enumerate(names.edge_ids)}
-    found = [table[["first_lane", "lanes"]][rows[edge]] for edge in edges]
-    lanes = [np.arange(first, first + count, dtype=np.int32) for first, count in found]
-    return np.concatenate(lanes) if lanes else np.empty(0, np.int32)
+    lanes = dict(
+        zip(names.edge_ids, zip(table["first_lane"].tolist(), table["lanes"].tolist(), strict=True), strict=True)
+    )
+    found = (lanes[edge] for edge in edges)
+    return np.array([lane for first, count in found for lane in range(first, first + count)], np.int32)

@@ -12,7 +12,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from izoo.envs.tables import Byte1, Float1, Int1, Int2, Int3, Long1, opener, tables_type
+from izoo.envs.tables import Byte1, Float1, Float2, Int1, Int2, Int3, Long1, opener, tables_type
 
 MAX_ROUTE_EDGES = 6
 
@@ -51,7 +51,7 @@ conflicts of the way that it ends, and links whose vehicles it yields to at a wa
 Program = _record("i8 first_phase phases cycle_ms offset_ms")
 Phase = _record("i8 begin_ms state")
 """Begin within the cycle; where its state begins in ``phase_letters``."""
-Best = _record("f8 length", "i4 offset link road", "u1 open")
+Best = _record("f8 length", "i2 offset link road", "u1 open")
 """See :class:`~izoo.envs.twin.net.best_lanes.BestTables`."""
 Route = _record("i4 exit_edge first_variant variants")
 """Row of the last edge; its variants are the rows from ``first_variant`` on of :attr:`TwinNet.best`."""
@@ -141,7 +141,7 @@ Vehicle = _record(
     "i4 change_command change_mode change_state change_until_ms signals",
     "f8 look_ahead_speed speed_gain speed_gain_right keep_right",
     "i4 change_target junction_ms conflict_ms will_pass stood_for entered_ms",
-    size=256,
+    size=192,
 )
 """Front bumper on its lane; speed; acceleration of the last step; speed that SUMO itself would have chosen in the last
 step ("speed without TraCI"); commanded speed, NaN for none; two of lane changing's memories; the vehicle's maximum
@@ -199,7 +199,8 @@ class TwinState(NamedTuple):
         link_letter: ``[K]`` uint8, what the link shows now (``G g y r s``, or its state without signal).
         program_switch_ms: ``[T]`` int64, when the present phase ends.
         advice: ``[N, MAX_ADVICES]`` float64, speeds (m/s) advised in the last lane changing.
-        room_seen: ``[N, MAX_LANES_SEEN]`` float64, road (m) taken behind the junction, for each lane inside it.
+        room_seen: ``[N, S]`` float64, road (m) taken behind the junction, for each lane inside it; ``S`` is the most
+            of the net's, 1 to :data:`MAX_LANES_SEEN`.
         active: ``[L]``, the order in which lanes are served.
 
     The others are working memory of a step (:data:`WORKING`), which environments share: nothing in it lasts.
@@ -223,7 +224,7 @@ class TwinState(NamedTuple):
     link_letter: Byte1
     program_switch_ms: Long1
     advice: Annotated[np.ndarray, "float64", 2, MAX_ADVICES]
-    room_seen: Annotated[np.ndarray, "float64", 2, MAX_LANES_SEEN]
+    room_seen: Float2
     active: Annotated[np.ndarray, Active, 1]
     link_first: Int1
     items: Annotated[np.ndarray, Item, 1]

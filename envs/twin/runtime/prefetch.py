@@ -108,7 +108,7 @@ def _fetch_directories(addresses, k):  # type: ignore[no-untyped-def]
 def _list_driving(addresses, k, ranges):  # type: ignore[no-untyped-def]
     """List lanes, signals, and the vehicles on the road: mostly those that departed last."""
     state, traffic = open_state(addresses[k, STATE_AT]), open_traffic(addresses[k, TRAFFIC_AT])
-    # These lie in one piece, in the order of new_state.
+    # These lie in one piece, in the order of state_shapes.
     _list(ranges, place_of(state.clock), place_of(state.vehicles) - place_of(state.clock))
     on_road = state.clock.on_road + state.clock.on_road // _STRAGGLERS
     first = max(0, state.clock.next_departure - on_road)

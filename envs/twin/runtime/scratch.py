@@ -21,6 +21,13 @@ def zeros(kind: TablesType, shapes: Shapes) -> dict[str, np.ndarray]:
     return _truncate(np.zeros(_size(kind, shapes), np.uint8), kind, shapes)
 
 
+def memory_of(first: np.ndarray) -> np.ndarray:
+    """Return the memory of all arrays that a call of :func:`zeros` gave, uint8, by the first of them."""
+    block: np.ndarray = first.base  # type: ignore[assignment]
+    begin = -block.ctypes.data % LINE_BYTES
+    return block[begin : begin + len(block) - LINE_BYTES]
+
+
 class Desk:
     """Working memory of a thread, for any number of environments, one at a time."""
 
@@ -36,16 +43,15 @@ class Desk:
 
 
 def _size(kind: TablesType, shapes: Shapes) -> int:
-    return LINE_BYTES + sum(_lines(kind.dtype_of(name).itemsize * _count(shape)) for name, shape in shapes.items())
+    return LINE_BYTES + sum(_lines(kind.dtypes[name].itemsize * _count(shape)) for name, shape in shapes.items())
 
 
 def _truncate(block: np.ndarray, kind: TablesType, shapes: Shapes) -> dict[str, np.ndarray]:
     """Cut a block into arrays, each of which begins with a line of the cache."""
     arrays, at = {}, -block.ctypes.data % LINE_BYTES
     for name, shape in shapes.items():
-        size = kind.dtype_of(name).itemsize * _count(shape)
-        arrays[name] = block[at : at + size].view(kind.dtype_of(name)).reshape(shape)
-        at += _lines(size)
+        arrays[name] = np.ndarray(shape, kind.dtypes[name], block, at)  # type: ignore[call-overload]
+        at += _lines(arrays[name].nbytes)
     return arrays
 
 

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from izoo.envs.tables import directory
-from izoo.envs.twin.driving.step import new_state, step
+from izoo.envs.twin.driving.step import new_state, state_shapes, step
 from izoo.envs.twin.runtime.layout import NET, STATE, TRAFFIC, WORKING, TwinNet, TwinState, TwinTraffic
 from izoo.envs.twin.runtime.prefetch import no_ranges
-from izoo.envs.twin.runtime.scratch import Desk, zeros
+from izoo.envs.twin.runtime.scratch import Desk, memory_of, zeros
+
+_ABSENT = np.empty(0)
 
 
 class TwinEpisode:
@@ -24,38 +28,34 @@ class TwinEpisode:
     """
 
     def __init__(self, net: TwinNet, traffic: TwinTraffic, step_ms: int = 500, desk: Desk | None = None) -> None:
-        self.net, self.traffic, self.step_ms = net, traffic, step_ms
-        self.state: TwinState = new_state(net, traffic, desk)
+        self._begin(net, traffic, step_ms)
+        self.state: TwinState = new_state(net, traffic, desk or Desk())
         self._find()
+
+    def _begin(self, net: TwinNet, traffic: TwinTraffic, step_ms: int) -> None:
+        self.net, self.traffic, self.step_ms = net, traffic, step_ms
+        self._constant = [directory(net, NET), directory(traffic, TRAFFIC)]
 
     def _find(self) -> None:
         """Note where the arrays are."""
-        pairs = ((self.net, NET), (self.traffic, TRAFFIC), (self.state, STATE))
-        self._directories = [directory(tables, kind) for tables, kind in pairs]
-        self.addresses = [words.ctypes.data for words in self._directories]
+        self._changing = directory(self.state, STATE)
+        self.addresses = [words.ctypes.data for words in (*self._constant, self._changing)]
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what another process needs: working memory and addresses are of one alone."""
-        lasting = {name: array for name, array in self.state._asdict().items() if name not in WORKING}
-        # In the order of memory, which prefetching relies on.
-        lasting = dict(sorted(lasting.items(), key=lambda one: one[1].ctypes.data))
-        working = {name: getattr(self.state, name).shape for name in WORKING}
-        return {"net": self.net, "traffic": self.traffic, "step_ms": self.step_ms, "state": (lasting, working)}
+        return {"of": (self.net, self.traffic, self.step_ms), "state": memory_of(self.state.clock)}
 
     def __setstate__(self, given: dict[str, Any]) -> None:
-        self.net, self.traffic, self.step_ms = given["net"], given["traffic"], given["step_ms"]
-        lasting, working = given["state"]
-        own = zeros(STATE, {name: array.shape for name, array in lasting.items()})
-        for name, array in lasting.items():
-            own[name][...] = array
-        self.state = TwinState(**own, **Desk().spread(STATE, working))
-        self._find()
+        """Take what :meth:`__getstate__` returned; :meth:`move_to` must follow."""
+        self._begin(*given["of"])
+        arrays = zeros(STATE, state_shapes(self.net, self.traffic)[0])
+        memory_of(arrays["clock"])[:] = given["state"]
+        self.state = TwinState(**arrays, **dict.fromkeys(WORKING, _ABSENT))
 
     def move_to(self, desk: Desk) -> None:
         """Use the working memory of another thread from now on."""
-        shapes = {name: getattr(self.state, name).shape for name in WORKING}
-        self.state = self.state._replace(**desk.spread(STATE, shapes))
-        self._directories[-1][:] = directory(self.state, STATE)
+        self.state = self.state._replace(**desk.spread(STATE, state_shapes(self.net, self.traffic)[1]))
+        self._find()
 
     def step(self) -> None:
         """Advance by one step."""

@@ -63,7 +63,7 @@ def main(
         exploration_type=ExplorationType.RANDOM,
         trust_policy=True,
         collector_kwargs={"track_traj_ids": False, "auto_register_policy_transforms": False},
-        remote_configs={"num_cpus": threads, "num_gpus": 0},
+        remote_configs=ray_cluster.collecting(threads),
         sync=True,  # on-policy: all nodes act with the same weights
     )
     collector.update_policy_weights_(algorithm.policy)

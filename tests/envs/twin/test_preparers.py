@@ -12,6 +12,7 @@ from izoo.envs.backend import Play
 from izoo.envs.twin.runtime import preparers
 from izoo.envs.twin.runtime.layout import WORKING
 from izoo.envs.twin.runtime.preparers import Preparers
+from izoo.envs.twin.runtime.scratch import Desk
 from izoo.errors import IzooError
 from tests.envs.worlds import crossing, short
 
@@ -32,6 +33,7 @@ def test_processes_prepare_what_a_thread_does() -> None:
     config = short()
     for one, other in zip(prepared(0, config), prepared(2, config), strict=True):
         assert one.play == other.play and one.road.sha256 == other.road.sha256
+        other.driving.move_to(Desk())
         for name, array in one.driving.state._asdict().items():
             own = getattr(other.driving.state, name)
             assert own.shape == array.shape
