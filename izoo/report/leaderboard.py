@@ -29,11 +29,9 @@ from izoo.envs.mdp.metric_sums import APPROACH_METRICS, MOVEMENT_METRICS
 from izoo.errors import IzooError
 from izoo.files import read_text, write_text
 from izoo.metrics.pairing import BASELINES, PAIR, simulators
-from izoo.metrics.paper_form import paper_form
 from izoo.metrics.statistics import MIN_TRAIN_SEEDS
 from izoo.metrics.summary import summarise
 from izoo.report import plots, tables
-from izoo.report.paper_results import paper_table
 from izoo.report.tables import Table
 from izoo.results.schema import COLUMNS, FEATURES, IDENTITY, KEY, WHOLE
 from izoo.results.store import PolicyRecord, read_manifest, read_table
@@ -44,8 +42,8 @@ FORMAT, MERGED_FORMAT = "izoo-leaderboard-3", "izoo-leaderboard-merged-3"
 SCHEMA_FILE = "leaderboard_schema.json"
 FOLDER = "leaderboard"
 KEPT = (*IDENTITY, *FEATURES, *(name for name in APPROACH_METRICS if name not in MOVEMENT_METRICS))
-PAPER_COLUMNS = (*IDENTITY, "crossed", "emission_g")
-"""Columns of superseded files."""
+NEEDED = tuple(name for name in KEPT if name not in FEATURES)
+"""Columns without which nothing can be said."""
 DIGITS = 7
 LARGEST = 1e15
 """No number of a row is larger, so that its powers are finite."""
@@ -133,7 +131,7 @@ def unpacked(rows: Mapping[str, Any]) -> pd.DataFrame:
     if len({len(column) for column in found.values()}) > 1:
         raise IzooError("rows: columns have different lengths.")
     table = pd.DataFrame(found)
-    missing = [name for name in PAPER_COLUMNS if name not in table]
+    missing = [name for name in NEEDED if name not in table]
     if missing:
         raise IzooError(f"rows: the column(s) {', '.join(missing)} are missing.")
     texts = [name for name in IDENTITY if any(isinstance(value, str) for value in table[name])]
@@ -190,11 +188,6 @@ class Entry:
         return str(self.content["policy"]["name"])
 
     @property
-    def superseded(self) -> bool:
-        """Whether only the paper's form can be computed."""
-        return "superseded" in self.content
-
-    @property
     def simulator(self) -> str:
         """What played: SUMO where it did."""
         played = set(self.table["simulator"])
@@ -202,10 +195,8 @@ class Entry:
 
     @property
     def marks(self) -> tuple[str, ...]:
-        """Its faults, and whether it is of another model of the simulation or of an earlier measure."""
+        """Its faults, and whether it is of another model of the simulation."""
         version = self.content["model_version"]
-        if self.superseded:
-            return (f"superseded: {self.content['superseded']}", *self.faults)
         other = f"model version {version} of the simulation, not {MODEL_VERSION}"
         return self.faults if version == MODEL_VERSION else (other, *self.faults)
 
@@ -240,11 +231,10 @@ def check(content: Mapping[str, Any], table: pd.DataFrame, source: str) -> Entry
         faults.append("the hash does not match: the file was changed after it was written")
     seeds = max(1, table.loc[table["policy"] == policy["name"], "train_seed"].nunique())
     wanted = len(table[list(PAIR)].drop_duplicates())
-    for name in dict.fromkeys((policy["name"], *(() if "superseded" in content else BASELINES))):
+    for name in dict.fromkeys((policy["name"], *BASELINES)):
         lacking = wanted * (seeds if name == policy["name"] else 1) - int((table["policy"] == name).sum())
         faults += [f"rows of {name} are missing: {lacking}"] if lacking else []
-    if "superseded" not in content:
-        faults += [f"rows contradict themselves: {what}" for what in contradictions(table)]
+    faults += [f"rows contradict themselves: {what}" for what in contradictions(table)]
     if policy["kind"] == "trained" and seeds < MIN_TRAIN_SEEDS:
         notes.append(f"{counted(seeds, 'training seed')} of {MIN_TRAIN_SEEDS}")
     if REFERENCE not in (played := set(table["simulator"])):
@@ -271,35 +261,26 @@ def merge(found: Sequence[Entry]) -> dict[str, Any]:
     Returns:
         ``format``, and ``groups``: per task, simulator and model version ``summary`` of the entries without faults
         (:func:`izoo.metrics.summary.summarise`; ``None`` where there is none), and ``entries``: ``name`` in the
-        summary, ``rank`` or ``None``, ``source``, ``policy``, ``hash``, ``marks``, ``notes``, best first. Superseded
-        files form groups of their own, with ``paper`` (:func:`izoo.metrics.paper_form.paper_form` by name) in place of
-        a summary.
+        summary, ``rank`` or ``None``, ``source``, ``policy``, ``hash``, ``marks``, ``notes``, best first.
     """
-    groups: dict[tuple[str, str, int, bool], dict[str, Entry]] = {}
+    groups: dict[tuple[str, str, int], dict[str, Entry]] = {}
     for entry in found:
-        key = (str(entry.content["task"]), entry.simulator, int(entry.content["model_version"]), entry.superseded)
+        key = (str(entry.content["task"]), entry.simulator, int(entry.content["model_version"]))
         named = groups.setdefault(key, {})
         same = sum(other.name == entry.name for other in named.values())
         named[f"{entry.name} {same + 1}" if same else entry.name] = entry
     merged = []
-    for (task, simulator, version, old), named in groups.items():
+    for (task, simulator, version), named in groups.items():
         about = {"task": task, "simulator": simulator, "model_version": version}
-        merged.append(about | (_papers(named) if old else _ranked(named)))
+        merged.append(about | _ranked(named))
     return {"format": MERGED_FORMAT, "groups": merged}
 
 
 def board(group: Mapping[str, Any]) -> Table:
     """Return a group of :func:`merge` as a table of its ranked entries, slower ones last."""
-    if "paper" in group:
-        return paper_table(group["paper"], f"{group['task']}: superseded; the paper's form, over human driving")
     if group["summary"] is None:
         return Table(group["task"], tables.entry_columns(), ())
     return tables.entries(group["summary"])
-
-
-def _papers(named: Mapping[str, Entry]) -> dict[str, Any]:
-    papers = {name: paper_form(entry.table, entry.name)[1] for name, entry in named.items() if not entry.faults}
-    return {"paper": papers, "entries": [_line(name, entry, None) for name, entry in named.items()]}
 
 
 def _ranked(named: Mapping[str, Entry]) -> dict[str, Any]:
