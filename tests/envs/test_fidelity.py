@@ -76,10 +76,10 @@ def slopes(context: Context) -> tuple[np.ndarray, np.ndarray]:
     with contextlib.closing(EcoDrivingEnv(context, config=EnvConfig(horizon_s=90.0, warmup_s=25.0))) as env:
         ours, theirs = [], []
         state = env.reset()
-        simulator = env.backend
+        simulation = env.backend.simulation()
         for _ in range(env.config.control_steps - 1):
             frame, state = env.step_and_maybe_reset(defer(state))
-            for name, row in simulator.ids.row_of.items():
+            for name, row in simulation.row_of.items():
                 ours.append(float(frame["next", "vehicles", "grade_pct"][row]))
                 theirs.append(100.0 * np.tan(np.radians(libsumo.vehicle.getSlope(name))))
     return np.array(ours), np.array(theirs)

@@ -28,7 +28,7 @@ WRONG: dict[Any, tuple[Any, ...]] = {
     int: ("80", 2.5, True, None, [1], float("nan"), -1),
     float: ("80", True, [0.5], {}, float("nan")),
     bool: ("yes", 1, None),
-    tuple[str, ...]: ("green_s", 3, None, [1]),
+    tuple[str, ...]: ("green_s", 3, None, [None]),
 }
 """Values that no option of a type can have. ``None`` is left out where it is legal."""
 

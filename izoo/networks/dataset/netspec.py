@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -107,7 +108,7 @@ def _approach(
         lanes=lanes,
         length_m=-float(road.lane_offset_m[main[0]]),
         speed_limit_mps=float(road.speed_limit_mps[p]),
-        grade=_grade(road.shapes[main[0]], road.shapes[stop[0]]),
+        grade=_grade(*(road.shapes[lane] for lane in dict.fromkeys((main[0], stop[0])))),
         aadt_per_lane=aadt_per_lane,
         right_pockets=right,
         left_pockets=left,
@@ -144,11 +145,11 @@ def _right_pockets(road: RoadNet, p: int, rightmost: int, stop: list[int], turns
     return min(max(fan - 1, 0), extra)
 
 
-def _grade(first: np.ndarray, last: np.ndarray) -> float:
-    """Mean rise over run from the beginning of the lane shape ``first`` to the end of ``last``, which may be it."""
-    run = run_m(first) + run_m(last)
-    run = run + float(np.linalg.norm(last[0, :2] - first[-1, :2])) if first is not last else run / 2.0
-    return float((last[-1, 2] - first[0, 2]) / run) if run > 0.0 else 0.0
+def _grade(*shapes: np.ndarray) -> float:
+    """Mean rise over run along the shapes of one lane, or of two with a gap between them."""
+    gaps = [float(np.linalg.norm(after[0, :2] - before[-1, :2])) for before, after in itertools.pairwise(shapes)]
+    run = sum(map(run_m, shapes)) + sum(gaps)
+    return float((shapes[-1][-1, 2] - shapes[0][0, 2]) / run) if run > 0.0 else 0.0
 
 
 def _signal_plan(root: Any, road: RoadNet, links: dict[tuple[int, int], list[int]]) -> SignalPlan:
