@@ -239,6 +239,7 @@ class EcoDrivingBase(EnvBase):
             IzooError: no episode has begun, or there is no such environment.
         """
         self.require_open()
+        check_whole("index", index, 0, max(self.batch_size.numel(), 1) - 1)
         return self.backend.scene(index)
 
     @property

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -52,7 +51,7 @@ class Simulations:
         config: the environments' settings.
         num_envs: ``N``.
         frames: the arrays ``[N, ...]`` of their frames; ``None``: they are made.
-        options: of other simulators that step environments side by side; they are not read.
+        threads, surrogate: of simulators that step environments side by side; this one has no use for them.
 
     Attributes:
         kind: makes the simulation of one episode of the settings, the frame's arrays and a play.
@@ -63,7 +62,13 @@ class Simulations:
     closed = False
 
     def __init__(
-        self, config: EnvConfig, num_envs: int = 1, frames: dict[str, np.ndarray] | None = None, **options: Any
+        self,
+        config: EnvConfig,
+        num_envs: int = 1,
+        frames: dict[str, np.ndarray] | None = None,
+        *,
+        threads: int | None = None,
+        surrogate: str | None = None,
     ) -> None:
         self.config = config
         self.frames = (

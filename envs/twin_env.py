@@ -165,7 +165,7 @@ class TwinEnv(SideBySideEnv):
 
         Raises:
             IzooError: another number of environments, another schedule, other settings or another user saved it; the
-                environments stay as they are.
+                environments stay as they are. After a state of another layout they need a reset.
         """
         self.backend.unpack(self._plays_of(state), [packed.numpy() for packed in state["packed"]])
         self._next_episode[:] = state["next_episodes"]

@@ -190,8 +190,8 @@ class SpeedAction(ActionMode):
 class ArriveAction(ActionMode):
     """The policy's action: how late in a green a vehicle should arrive, and how slowly it should drive behind the line.
 
-    Both become desired speeds (``env.action=speed env.action_parts=[speed_before,speed_behind]``). It
-    takes the place of ``algo.initial_accel_mps2`` and ``algo.initial_spread``.
+    Both become desired speeds (``env.action=speed env.action_parts=[speed_before,speed_behind]``); a third number may
+    say how gently to stop. It takes the place of ``algo.initial_accel_mps2`` and ``algo.initial_spread``.
 
     Attributes:
         name: the action mode.

@@ -126,7 +126,8 @@ def plan_caps(world, base):  # type: ignore[no-untyped-def]
                 max_speed = max(share, MIN_SHARE) * limit
                 slower = min(speed, max(max_speed, speed - _CAP_BRAKING_MPS2 * rules.step_s))
             if gentle < 1.0:
-                braking = _stop_braking(vehicle, tables.signal, max(gentle, MIN_SHARE) * _CAP_BRAKING_MPS2)
+                least_mps2 = max(gentle, MIN_SHARE) * _CAP_BRAKING_MPS2
+                braking = _stop_braking(vehicle, tables.signal, least_mps2, rules.step_s)
                 slower = min(slower, speed - braking * rules.step_s)
         slowing = slower < speed
         if slowing and not vehicle.yielding and vehicle.location != INSIDE:
@@ -152,7 +153,7 @@ def _part(action, a, column):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _stop_braking(vehicle, signal, least_mps2):  # type: ignore[no-untyped-def]
+def _stop_braking(vehicle, signal, least_mps2, step_s):  # type: ignore[no-untyped-def]
     """Return the even braking that ends where a vehicle must stand, in m/s^2; 0 where it is not to brake yet.
 
     It stands at the stop line, or behind a leader that stands before it. It must where the light is red, does not allow
@@ -164,6 +165,7 @@ def _stop_braking(vehicle, signal, least_mps2):  # type: ignore[no-untyped-def]
         ahead = min(ahead, vehicle.leader_gap_m - _QUEUE_GAP_M)
     if shown.colour != RED or shown.legal_on_red or ahead < _LAST_METRES_M or speed < _SLOW_MPS:
         return 0.0
-    needed = 0.5 * speed * speed / ahead
-    certain = shown.change_s >= 2.0 * ahead / speed
-    return needed if certain and least_mps2 <= needed <= _CAP_BRAKING_MPS2 else 0.0
+    # In whole steps it stays the same throughout a stop, which rounding must not let go.
+    needed = speed * speed / (2.0 * ahead + speed * step_s)
+    certain = shown.change_s >= speed / needed
+    return needed if certain and (1.0 - 1e-6) * least_mps2 <= needed <= _CAP_BRAKING_MPS2 else 0.0

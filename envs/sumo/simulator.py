@@ -83,9 +83,11 @@ class SumoSimulation(Simulation):
             write_routes(self.traffic, self.road, self._routes)
             with readable_paths(self.net, self._routes) as (net_file, route_file):
                 self.session.load(sumo_arguments(net_file, route_file, episode.seed, self.config.step_s))
-        except IzooError as error:
+        except BaseException as error:
             self.close()
-            raise IzooError(f"context {episode.context.name}: {error}") from error
+            if isinstance(error, IzooError):
+                raise IzooError(f"context {episode.context.name}: {error}") from error
+            raise
         if not self.config.gui:  # sumo-gui can reload its files
             self.close()
 

@@ -38,8 +38,7 @@ class Commands(NamedTuple):
 def action_space(config: EnvConfig, count: int | None) -> spaces.Space[Any]:
     """Return the space of a view's actions: accelerations, and with ``lane_change`` a dictionary of two entries.
 
-    Where actions are desired speeds: shares of the speed limit, one per vehicle, or one before and one behind the stop
-    line.
+    Where actions are desired speeds: shares, one for each of ``config.action_parts``.
 
     Args:
         config: the environment's settings.

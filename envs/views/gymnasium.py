@@ -4,7 +4,7 @@
 :class:`EcoDrivingEgo`; the module before the colon is imported first (Gymnasium has no plug-ins since 1.0). They
 simulate the same as :class:`~izoo.envs.EcoDrivingEnv`: the same context, seed and actions give the same trajectories.
 Each SUMO simulation has a process of its own, so that there can be any number of them; ``gymnasium.make_vec`` steps
-them in parallel (``AsyncVectorEnv``).
+them in parallel.
 
 As in Gymnasium, ``reset(seed=s)`` begins the first episode of base seed ``s``, and ``reset()`` the next one; before any
 seed, the base seed is random. ``reset(options=...)`` takes those of :data:`izoo.envs.views.view_session.OPTIONS`.
@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AsyncVectorEnv
 
-from izoo.envs.config import MAX_WORKERS, STEP, EnvConfig
+from izoo.envs.config import STEP, EnvConfig
 from izoo.envs.views.commands import Commands, action_space, read_action
+from izoo.envs.views.vector import ViewVector
 from izoo.envs.views.view_session import RENDER_MODES, View, ViewSession
-from izoo.errors import IzooError, check_whole
+from izoo.errors import IzooError
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -102,7 +102,7 @@ class EcoDrivingJoint(_View[dict[str, np.ndarray]]):
         return self._observation(), {"vehicle": self.session.numbers, **self.session.plan(), **self.session.info()}
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Simulate a step with the actions ``[A]`` (or ``[A, 2]``), or the dictionary described above."""
+        """Simulate a step with the actions ``[A]`` (or ``[A, D]``), or the dictionary described above."""
         session, frame = self.session, self.session.frame
         session.require_running()
         numbers, lane_change = read_action(self.config, action, self.config.num_agents)
@@ -263,17 +263,11 @@ class EcoDrivingEgo(_View[np.ndarray]):
         return commands
 
 
-def joint_vector(num_envs: int = 1, **options: Any) -> AsyncVectorEnv:
+def joint_vector(num_envs: int = 1, **options: Any) -> ViewVector:
     """What ``gymnasium.make_vec("izoo.envs:izoo/EcoDriving-v0", num_envs)`` makes without a vectorization mode."""
-    return _vector(EcoDrivingJoint, num_envs, options)
+    return ViewVector(functools.partial(EcoDrivingJoint, **options), num_envs)
 
 
-def ego_vector(num_envs: int = 1, **options: Any) -> AsyncVectorEnv:
+def ego_vector(num_envs: int = 1, **options: Any) -> ViewVector:
     """What ``gymnasium.make_vec("izoo.envs:izoo/EcoDrivingEgo-v0", num_envs)`` makes without a vectorization mode."""
-    return _vector(EcoDrivingEgo, num_envs, options)
-
-
-def _vector(view: type[_View[Any]], num_envs: int, options: dict[str, Any]) -> AsyncVectorEnv:
-    """Return views in processes of their own, which simulate there."""
-    check_whole("num_envs", num_envs, 1, MAX_WORKERS)
-    return AsyncVectorEnv([functools.partial(view, **{**options, "in_process": True})] * num_envs)
+    return ViewVector(functools.partial(EcoDrivingEgo, **options), num_envs)

@@ -16,7 +16,7 @@ import numpy as np
 from izoo.contexts.context import Context
 from izoo.contexts.procedural import ProceduralSource
 from izoo.contexts.source import as_schedule, reseed
-from izoo.envs import simulator_of
+from izoo.envs import REFERENCE, simulator_of
 from izoo.envs.backend import Backend, Play
 from izoo.envs.config import KEEP_LANE, STEP, EnvConfig, checked_config
 from izoo.envs.mdp.columns import VEHICLE_INTS
@@ -87,7 +87,7 @@ class ViewSession:
 
     def _make_backend(self) -> None:
         chosen = simulator_of(self._simulator)
-        here = self._in_process or chosen.batched
+        here = self._in_process or self._simulator != REFERENCE
         self._backend: Backend = chosen.make_backend(self.config) if here else SumoWorkers(self.config, 1, poll=False)
         self.frame = row_of(self._backend.frames, 0)
         self._finalizer = weakref.finalize(self, self._backend.close)

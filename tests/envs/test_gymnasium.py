@@ -219,8 +219,11 @@ def test_a_vector_begins_the_next_episode_in_the_step_after_an_end() -> None:
         observation, rewards, *_, truncated, info = envs.step(envs.action_space.sample())
         assert not truncated.any() and not rewards.any() and info["episode"].tolist() == [1, 1]
         assert observation in envs.observation_space
+        with pytest.raises(IzooError, match=r"3 seeds.*2 environments"):
+            envs.reset(seed=[1, 2, 3])
         with pytest.raises(IzooError, match="unknown reset option"):
             envs.reset(options={"what": 1})
+        envs.reset()
 
 
 @pytest.mark.parametrize(

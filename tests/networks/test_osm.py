@@ -343,7 +343,8 @@ def test_grade_from_an_elevation_raster(after_sumo: bool, tmp_path: Path, monkey
             monkeypatch.setenv(name, str(Path(sumo.SUMO_HOME, "data", "proj")))
     spec, _ = build(crossing(), tmp_path, elevation=path)
     grades = [approach(spec, leg).grade for leg in "DBA"]
-    assert grades == pytest.approx([0.05, -0.05, 0.0], abs=1e-3), "uphill coming from the west"
+    assert grades[:2] == pytest.approx([0.05, -0.05], abs=1e-3), "uphill coming from the west"
+    assert grades[2] == pytest.approx(0.0, abs=1e-4)
     assert not any(name.startswith("grade") for name in spec.imputed)
     with pytest.raises(IzooError, match="does not exist"):
         build(crossing(), tmp_path, elevation=tmp_path / "none.tif")
