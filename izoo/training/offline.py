@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 from pathlib import Path
 from typing import Any
@@ -63,6 +64,10 @@ def collect(config: CollectConfig) -> Path:
                     if interrupt.requested or writer.frames >= config.frames:
                         break
         except OSError as error:
+            if not writer.frames:  # what was begun would keep others from the folder
+                with contextlib.suppress(OSError):
+                    for path in out.glob("*.bin"):
+                        path.unlink()
             remedy = "Make room, then collect" if error.errno in NO_ROOM else "Collect"
             raise UnfinishedError(
                 f"could not write to {out}: {error}; {writer.frames:,} steps are complete. {remedy} the rest into "
