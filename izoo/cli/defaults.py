@@ -31,7 +31,8 @@ def of_run(named: Mapping[str, Any]) -> dict[str, Any]:
 
 def of_policies(named: Mapping[str, Any]) -> dict[str, Any]:
     """Return the environment of the last trained policy that is named; ``env.emit`` stays the command's."""
-    found = list(filter(None, map(trained_env, named.get("policies", [named.get("policy")]))))
+    policies = named.get("policies", [named.get("policy")])
+    found = list(filter(None, map(trained_env, policies if isinstance(policies, list) else ())))
     return {"env": {name: value for name, value in to_mapping(found[-1]).items() if name != "emit"}} if found else {}
 
 
