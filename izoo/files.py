@@ -35,7 +35,7 @@ _ABOUT_PATHS = (
     *(errno.EEXIST, *NO_ROOM),
 )
 """Errors for which another path is a remedy."""
-_PARTIAL = re.compile(r"\..+\.partial-[0-9a-f]{8}")
+_PARTIAL = re.compile(r"\..+\.partial(-[0-9a-f]+)*")
 
 
 def expanded(path: str | Path) -> Path:
@@ -250,7 +250,9 @@ def partial_of(path: Path) -> Path:
 
 
 def is_partial(path: Path) -> bool:
-    """Whether a path is one of those that :func:`partial_of` returns."""
+    """Whether a path is of something half-written: of :func:`partial_of`, :func:`replacing_folder`, or an earlier
+    version.
+    """
     return _PARTIAL.fullmatch(path.name) is not None
 
 
