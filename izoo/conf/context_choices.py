@@ -128,7 +128,7 @@ class MixedContexts:
         if not is_list or len(self.sources) < 2:
             found = f"has {len(self.sources)} entries" if is_list else f"is {self.sources!r}"
             raise IzooError(
-                f"contexts.sources {found}; contexts=mixed needs a list of two or more, like "
+                f"contexts.sources {found}; contexts=mixed needs two or more, like "
                 "[{name:dataset,path:DIR,split:train},{name:city,city:atlanta,split:train}]."
             )
         return MixedSource([source.build() for source in self.sources])
