@@ -43,7 +43,6 @@ compiled = functools.partial(compiling.compiled, nogil=True, error_model="numpy"
 
 Float1 = Annotated[np.ndarray, "float64", 1]
 Float2 = Annotated[np.ndarray, "float64", 2]
-Single1 = Annotated[np.ndarray, "float32", 1]
 Single2 = Annotated[np.ndarray, "float32", 2]
 Int1 = Annotated[np.ndarray, "int32", 1]
 Int2 = Annotated[np.ndarray, "int32", 2]

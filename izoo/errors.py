@@ -121,7 +121,8 @@ Ranges: TypeAlias = tuple[tuple[Any, ...], ...]
 
 
 class CheckedOptions:
-    """Base of frozen dataclasses of options: types and ranges are checked when one is made.
+    """Base of frozen dataclasses of options: when one is made, values become of the declared types
+    (:func:`check_types`), and their ranges are checked.
 
     Attributes:
         group: of the options, for messages; empty where there is none.
@@ -142,14 +143,14 @@ class CheckedOptions:
 
 
 _Kind = tuple[str, Callable[[Any], Any]]
-"""A type in words, and what returns a value of it, or raises :class:`TypeError`."""
+"""A type in words, and what returns a value of it, or raises :class:`TypeError` or :class:`OverflowError`."""
 
 
 def _fitting(legal: list[_Kind], value: Any) -> list[Any]:
     """Return what a value can be of some types; what it is already comes first."""
     found = []
     for _, convert in legal:
-        with contextlib.suppress(TypeError):
+        with contextlib.suppress(TypeError, OverflowError):
             found.append(convert(plain_number(value)))
     return sorted(found, key=lambda each: type(each) is not type(value))
 

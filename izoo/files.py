@@ -35,7 +35,7 @@ _ABOUT_PATHS = (
     *(errno.EEXIST, *NO_ROOM),
 )
 """Errors for which another path is a remedy."""
-_PARTIAL = re.compile(r"\..+\.partial-[0-9a-f]{8}")
+_PARTIAL = re.compile(r"\..+\.partial(-[0-9a-f]+)*")
 
 
 def expanded(path: str | Path) -> Path:
@@ -205,13 +205,17 @@ def unpacked(packed: bytes, most: int = MOST_UNPACKED_BYTES) -> bytes:
 def replacing_folder(target: Path) -> Iterator[Path]:
     """Give an empty folder to fill, which takes the place of ``target`` when the block ends without an error.
 
-    What a killed process left beside ``target`` is removed first.
+    What a killed process left beside ``target`` is removed first; if it was killed just before the end, ``target`` is
+    brought back.
 
     Raises:
         IzooError: another process fills it.
     """
     staging, old = (target.with_name(f".{target.name}.{what}") for what in ("partial", "old"))
     with claimed(staging, "wait for its end, or choose another target"):
+        if old.exists() and not target.exists():
+            old.replace(target)
+        shutil.rmtree(old, ignore_errors=True)
         try:
             for left in staging.iterdir():
                 shutil.rmtree(left) if left.is_dir() and not left.is_symlink() else left.unlink()
@@ -219,9 +223,12 @@ def replacing_folder(target: Path) -> Iterator[Path]:
             if target.exists():
                 target.replace(old)
             staging.replace(target)
+        except BaseException:
+            shutil.rmtree(staging, ignore_errors=True)
+            raise
         finally:
-            for path in (staging, old):
-                shutil.rmtree(path, ignore_errors=True)
+            if target.exists():
+                shutil.rmtree(old, ignore_errors=True)
 
 
 def check_replaceable(target: Path, known: Callable[[], Collection[str]]) -> None:
@@ -243,7 +250,9 @@ def partial_of(path: Path) -> Path:
 
 
 def is_partial(path: Path) -> bool:
-    """Whether a path is one of those that :func:`partial_of` returns."""
+    """Whether a path is of something half-written: of :func:`partial_of`, :func:`replacing_folder`, or an earlier
+    version.
+    """
     return _PARTIAL.fullmatch(path.name) is not None
 
 

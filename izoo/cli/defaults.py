@@ -11,14 +11,19 @@ from izoo.algos.learners.registry import DRIVER_NAMES
 from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import BY_STEP, EnvConfig
+from izoo.errors import IzooError
 from izoo.files import expanded
 from izoo.zoo import catalog
 
 
 def of_run(named: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options of the run that ``resume`` names; raises :class:`IzooError` where there is none."""
+    """Return the options of the run that ``resume`` names; raises :class:`IzooError` where there is none, or another
+    folder is named.
+    """
     if named.get("resume") is None:
         return {}
+    if "run_dir" in named:
+        raise IzooError("a resumed run stays in its folder; leave run_dir out.")
     from izoo.training import run_folder
 
     return vars(run_folder.resumed(expanded(str(named["resume"])).absolute()))
@@ -26,7 +31,8 @@ def of_run(named: Mapping[str, Any]) -> dict[str, Any]:
 
 def of_policies(named: Mapping[str, Any]) -> dict[str, Any]:
     """Return the environment of the last trained policy that is named; ``env.emit`` stays the command's."""
-    found = list(filter(None, map(trained_env, named.get("policies", [named.get("policy")]))))
+    policies = named.get("policies", [named.get("policy")])
+    found = list(filter(None, map(trained_env, policies if isinstance(policies, list) else ())))
     return {"env": {name: value for name, value in to_mapping(found[-1]).items() if name != "emit"}} if found else {}
 
 

@@ -124,9 +124,11 @@ class MixedContexts:
 
     def build(self) -> ContextSource:
         """Return the mixture; raises :class:`IzooError` where there are too few sources, or one cannot be built."""
-        if len(self.sources) < 2:
+        is_list = isinstance(self.sources, list)
+        if not is_list or len(self.sources) < 2:
+            found = f"has {len(self.sources)} entries" if is_list else f"is {self.sources!r}"
             raise IzooError(
-                f"contexts.sources has {len(self.sources)} entries; contexts=mixed needs two or more, like "
+                f"contexts.sources {found}; contexts=mixed needs two or more, like "
                 "[{name:dataset,path:DIR,split:train},{name:city,city:atlanta,split:train}]."
             )
         return MixedSource([source.build() for source in self.sources])

@@ -12,7 +12,7 @@ from izoo.conf.context_choices import ContextsConfig
 from izoo.envs import REFERENCE, simulator_of
 from izoo.envs.config import EnvConfig
 from izoo.errors import CheckedOptions, IzooError, check_choice
-from izoo.files import make_absolute
+from izoo.files import expanded, make_absolute
 
 DRAIN_S = 600.0
 """How long evaluated episodes are played out after their horizon, at most."""
@@ -30,7 +30,8 @@ class EvaluateConfig(CheckedOptions):
         checkpoint: of a run's folder: ``last``, ``best`` (by validation), or the number of frames it was saved after.
         policy: instead of a run: a driver (``human``, ``uncommanded``, ``constant``, ``constant_2.0``, ``random``,
             ``glide``, ``cap_0.6``), a trained policy that ships (``zoo:NAME``; ``python -m izoo.zoo list``), one that
-            ``python -m izoo.zoo export`` wrote (``FILE.pt``), or ``module:function``.
+            ``python -m izoo.zoo export`` wrote (``FILE.pt``), ``module:function``, or the folder of a run, of which
+            ``run`` would bring the contexts, too.
         name: what tables call it; runs of several training seeds that have the same name, and the same ``out``, are one
             entry. null: the run's folder, or the policy.
         contexts: which contexts to evaluate in; where a run is given, its own unless this option is.
@@ -85,6 +86,9 @@ class EvaluateConfig(CheckedOptions):
 
 
 def check_policy(what: str, policy: str) -> None:
-    """Raise :class:`IzooError` unless a policy is a driver's name, or looks like ``FILE.pt`` or ``module:function``."""
-    if ":" not in policy and Path(policy).suffix != ".pt" and cap_share(policy) is None:
+    """Raise :class:`IzooError` unless a policy is a driver's name or a path that exists, or looks like ``FILE.pt`` or
+    ``module:function``.
+    """
+    looks_right = ":" in policy or Path(policy).suffix == ".pt" or cap_share(policy) is not None
+    if not looks_right and not expanded(policy).exists():
         check_choice(what, policy, [*DRIVER_NAMES, "cap_SHARE", "zoo:NAME", "FILE.pt", "module:function"])

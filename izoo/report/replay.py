@@ -16,6 +16,7 @@ from typing import Any
 from tensordict import TensorDictBase
 
 from izoo import files, zoo
+from izoo.algos.learners.registry import DRIVER_NAMES
 from izoo.contexts.context import Context
 from izoo.envs import MODEL_VERSION
 from izoo.envs.config import STEP, EnvConfig
@@ -206,6 +207,7 @@ class Player:
             if not self._imports and not zoo.named(each):
                 if ":" in each and not each.endswith(WEIGHTS):
                     raise IzooError(f"the policy is the code {each}; imports=true allows to import it.")
-                if each.endswith(WEIGHTS):
-                    run_folder.read_config(checkpoint.run_of(Path(each)), imports=False)
+                place = files.expanded(each).absolute()
+                if each not in DRIVER_NAMES and place.exists():  # a checkpoint, or the folder of a run
+                    run_folder.read_config(checkpoint.run_of(checkpoint.find(place)), imports=False)
             yield run_folder.any_policy(each, config).policy

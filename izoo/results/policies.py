@@ -26,12 +26,13 @@ from izoo.zoo import catalog
 
 
 class NamedPolicy(NamedTuple):
-    """A policy, its name in tables, what a manifest says of it, and which training seed it is of."""
+    """A policy, its name in tables, what a manifest says of it, and the training seed and environment it is of."""
 
     name: str
     policy: Policy
     record: PolicyRecord
     train_seed: int = 0
+    trained: EnvConfig | None = None
 
 
 def as_policy(policy: str | Policy, config: EnvConfig, name: str | None = None) -> NamedPolicy:
@@ -63,7 +64,8 @@ def as_policy(policy: str | Policy, config: EnvConfig, name: str | None = None) 
         zoo.check_fits(f"the policy {trained.name}", trained.env, config)
         named = as_policy(trained.policy, config, name or trained.name)
         source = catalog.absolute(policy)
-        return named._replace(record=dataclasses.replace(named.record, source=source, algo=trained.algo.name))
+        record = dataclasses.replace(named.record, source=source, algo=trained.algo.name)
+        return named._replace(record=record, trained=trained.env)
     if ":" not in policy:
         raise unknown_choice("policy", policy, [*DRIVERS, "cap_SHARE", "zoo:NAME", "FILE.pt", "module:function"])
     named = as_policy(import_policy(policy), config, name or policy.rpartition(":")[2])

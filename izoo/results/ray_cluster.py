@@ -22,8 +22,8 @@ def collecting(cores: int = 1) -> dict[str, Any]:
     It hands tensors over as they lie in memory: pickled, a batch would be copied four times more. What it hands over
     must not be written to; a ``RayCollector`` with ``sync=True`` stacks it, which copies it.
     """
-    warnings.filterwarnings("ignore", "The given NumPy array is not writable", UserWarning)
-    return {"num_cpus": cores, "num_gpus": 0, "runtime_env": {"env_vars": {"RAY_ENABLE_ZERO_COPY_TORCH_TENSORS": "1"}}}
+    tensors = {"env_vars": {"RAY_ENABLE_ZERO_COPY_TORCH_TENSORS": "1"}}
+    return {**WORKER_RESOURCES, "num_cpus": cores, "runtime_env": tensors}
 
 
 def connect() -> Any:
@@ -41,6 +41,7 @@ def connect() -> Any:
         import ray
     except ImportError as error:
         raise IzooError("Ray is not installed: pip install 'izoo[ray]'.") from error
+    warnings.filterwarnings("ignore", "The given NumPy array is not writable", UserWarning)  # see collecting()
     if not ray.is_initialized():
         _check_address(os.environ.get("RAY_ADDRESS", ""))
         try:

@@ -116,7 +116,8 @@ def make_sinks(config: LoggerConfig, run_dir: Path) -> list[Logger]:
     try:
         return [get_logger(config.name, str(run_dir), name, wandb_kwargs=wandb)]
     except ImportError as error:
-        raise IzooError(f"logger={config.name} needs a package: pip install 'izoo[{config.name}]'.") from error
+        package = "wandb" if config.name == "wandb" else "'izoo[tensorboard]'"
+        raise IzooError(f"logger={config.name} needs a package: pip install {package}.") from error
 
 
 def in_short(latest: Mapping[str, float]) -> str:

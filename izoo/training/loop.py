@@ -139,6 +139,15 @@ class CollectionLostError(UnfinishedError):
     """What collects has ended."""
 
 
+@contextlib.contextmanager
+def _noticing_loss() -> Iterator[None]:
+    """Raise :class:`CollectionLostError` where what collects has ended."""
+    try:
+        yield
+    except UnfinishedError as error:
+        raise CollectionLostError(*error.args) from error
+
+
 class Session:
     """One stretch of a training run.
 
@@ -252,10 +261,8 @@ class Session:
         """Collect one batch, learn from it, and return its row of the table."""
         start = time.perf_counter()
         torch.set_num_threads(1)  # idle learner threads would spin on the simulators' cores
-        try:
+        with _noticing_loss():
             batch = batches.next()
-        except UnfinishedError as error:
-            raise CollectionLostError(*error.args) from error
         collected = time.perf_counter()
         stats = episode_stats(batch, self.config.staggered)
         if self._baselines is not None:
@@ -270,12 +277,15 @@ class Session:
             learned |= self._score_levels(self.state.levels, batch)
         self._require_finite(learned)
         torch.set_num_threads(1)
-        batches.synchronise(self.state.learner.policy)
-        seconds = time.perf_counter() - start
-        self.state.frames += batch.numel()
-        self.state.batches += 1
-        self.state.episodes += int(stats.pop("episodes"))
-        self.state.seconds += seconds
+        try:
+            with _noticing_loss():
+                batches.synchronise(self.state.learner.policy)
+        finally:  # what was learned counts, and can be saved
+            seconds = time.perf_counter() - start
+            self.state.frames += batch.numel()
+            self.state.batches += 1
+            self.state.episodes += int(stats.pop("episodes"))
+            self.state.seconds += seconds
         worked_s, self._worked_s = self._worked_s, processor_s()
         return {
             "frames": self.state.frames,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 from pathlib import Path
 from typing import Any
@@ -63,6 +64,10 @@ def collect(config: CollectConfig) -> Path:
                     if interrupt.requested or writer.frames >= config.frames:
                         break
         except OSError as error:
+            if not writer.frames:  # what was begun would keep others from the folder
+                with contextlib.suppress(OSError):
+                    for path in out.glob("*.bin"):
+                        path.unlink()
             remedy = "Make room, then collect" if error.errno in NO_ROOM else "Collect"
             raise UnfinishedError(
                 f"could not write to {out}: {error}; {writer.frames:,} steps are complete. {remedy} the rest into "
@@ -107,8 +112,17 @@ def _make_collector(config: CollectConfig, policy: Policy, schedule: RandomSched
 
 
 def make_policy(config: CollectConfig) -> Policy:
-    """Return the policy that ``config.policy`` names."""
+    """Return the policy that ``config.policy`` names.
+
+    Raises:
+        IzooError: there is none, or it was trained on other observations or decisions.
+    """
     if config.policy == "random":
         return RandomDriver(config.env)
-    policy = run_folder.any_policy(config.policy, config.env).policy
-    return policy.eval() if isinstance(policy, nn.Module) else policy
+    found = run_folder.any_policy(config.policy, config.env)
+    if found.trained is not None and found.trained.decision_s != config.env.decision_s:
+        theirs, ours = (f"{env.decision_s:g}" for env in (found.trained, config.env))
+        raise IzooError(
+            f"the policy of {config.policy} decides every {theirs} s, and env every {ours} s; set env.hold_s={theirs}."
+        )
+    return found.policy.eval() if isinstance(found.policy, nn.Module) else found.policy

@@ -35,6 +35,8 @@ WORKER_TRACEBACK = "\n\nWorker traceback:"
 """What TorchRL puts after the message of an error of another process."""
 SLOWER = 10.0
 """A batch may take so many times as long as the one before it."""
+FIRST_STEP_S = 0.1
+"""How long the first batch may take for every step of a process, including those that are replayed."""
 
 
 class ProcessCollector(MultiSyncCollector):
@@ -44,11 +46,13 @@ class ProcessCollector(MultiSyncCollector):
 
     Args:
         watchdog_s: how much longer than :data:`SLOWER` times the last batch one may take; all are ended then.
+        first_steps: steps that a process makes until it has its part of the first batch.
         args, options: of TorchRL's collector.
     """
 
-    def __init__(self, *args: Any, watchdog_s: float, **options: Any) -> None:
-        self._watchdog_s, self._patience_s, self._hung = watchdog_s, max(watchdog_s, STARTUP_S), False
+    def __init__(self, *args: Any, watchdog_s: float, first_steps: int, **options: Any) -> None:
+        self._watchdog_s, self._hung = watchdog_s, False
+        self._patience_s = max(watchdog_s, STARTUP_S) + FIRST_STEP_S * first_steps
         super().__init__(*args, **options)
 
     def iterator(self) -> Iterator[TensorDictBase]:
@@ -86,8 +90,8 @@ class ProcessCollector(MultiSyncCollector):
         except (OSError, EOFError, RuntimeError, ValueError) as error:
             if self._hung:
                 raise UnfinishedError(
-                    "the processes that collect did not answer for env.watchdog_s and were ended; go on with "
-                    "resume=RUN_DIR."
+                    f"a batch took longer than {self._patience_s:.0f} s, and the processes that collect were ended; "
+                    "raise env.watchdog_s in the run's config.yaml if none of them hung, and go on with resume=RUN_DIR."
                 ) from error
             # TorchRL notices too, but then stumbles over the other processes, or over the pipe; these it ends itself.
             codes = {}
@@ -109,7 +113,8 @@ class ProcessCollector(MultiSyncCollector):
     def _end(self) -> None:
         self._hung = True
         for process in self.procs:
-            process.kill()
+            with contextlib.suppress(ValueError):  # TorchRL has ended and closed it
+                process.kill()
 
 
 def process_collector(
@@ -130,6 +135,7 @@ def process_collector(
             policy,
             frames_per_batch=frames,
             watchdog_s=config.env.watchdog_s,
+            first_steps=-(-frames // config.num_workers) + max(map(len, histories), default=0),
             **ENDLESS,
         )
     except IzooError as error:

@@ -193,7 +193,7 @@ def start_from(algorithm: Algorithm, config: TrainConfig) -> None:
 def _weight_options(config: TrainConfig) -> dict[str, Any]:
     """Return the options that decide what the weights of a run's policy mean, by name."""
     options = to_mapping(config.algo)
-    if getattr(config.action, "point_mass", None) is not None:
+    if hasattr(config.action, "spread"):
         options.pop("initial_spread", None)  # action.spread takes its place
     return {
         "action": to_mapping(config.action),
@@ -217,5 +217,6 @@ def any_policy(policy: str, config: EnvConfig, name: str | None = None) -> Named
     algorithm, trained, state = load_algorithm(path)
     zoo.check_fits(f"the policy of {run_dir}", trained.env, config)
     found = as_policy(algorithm.policy.eval(), config, name or run_dir.name)
-    record = dataclasses.replace(found.record, source=str(path), algo=trained.algo.name, frames=state["frames"])
-    return found._replace(record=record, train_seed=trained.seed)
+    origin = {"source": str(path), "algo": trained.algo.name, "frames": state["frames"]}
+    record = dataclasses.replace(found.record, kind="trained", **origin)
+    return found._replace(record=record, train_seed=trained.seed, trained=trained.env)

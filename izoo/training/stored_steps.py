@@ -76,13 +76,12 @@ class StepsWriter:
             with _file(self.out, name).open("ab") as file:
                 file.write(leaf.contiguous().numpy().tobytes())
             leaves[name] = str(leaf.dtype), list(leaf.shape[1:])
-        self.frames += len(packed["steps"])
-        self._rows += len(packed["rows"])
+        frames, rows = self.frames + len(packed["steps"]), self._rows + len(packed["rows"])
         manifest = {
             "format": FORMAT,
             "izoo": __version__,
-            "frames": self.frames,
-            "rows": self._rows,
+            "frames": frames,
+            "rows": rows,
             "leaves": leaves,
             "simulator": self.config.simulator,
             "environments": self.config.environments,
@@ -90,7 +89,8 @@ class StepsWriter:
             "observation_names": list(observation_names(self.config.env)),
             "options": to_mapping(self.config),
         }
-        write_json(self.out / MANIFEST, manifest)
+        write_json(self.out / MANIFEST, manifest, durable=False)
+        self.frames, self._rows = frames, rows
 
 
 class StoredSteps(Storage):

@@ -100,7 +100,10 @@ def read(path: Path) -> TrainedPolicy:
         if not isinstance(state, dict) or state.get("format") != FORMAT:
             raise ValueError(f"it is not a policy of format {FORMAT}")
         _check_algorithm(str(state["options"]["algo"]["name"]), path)
-        config = from_mapping(TrainConfig, {name: state["options"][name] for name in KEPT})
+        try:
+            config = from_mapping(TrainConfig, {name: state["options"][name] for name in KEPT})
+        except IzooError as error:
+            raise IzooError(f"{path}: {error}") from error
         policy = make_algorithm(config.algo, config.action, config.env).policy
         policy.load_state_dict(state["policy"])
     return TrainedPolicy(path.stem, policy.eval(), config.env, config.algo, config.action)

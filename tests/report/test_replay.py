@@ -123,9 +123,11 @@ def test_what_cannot_be_played_again_is_said(evaluation: Path, tmp_path: Path, c
         played(changed(evaluation, tmp_path, **changes))
 
 
-def test_a_run_whose_algorithm_is_code_is_not_imported(evaluation: Path, here: Path) -> None:
+@pytest.mark.parametrize("source", ["run/checkpoints/step-000000000001.pt", "results/run"])
+def test_a_run_whose_algorithm_is_code_is_not_imported(source: str, evaluation: Path, here: Path) -> None:
+    """Whether its checkpoint is named, or its folder, seen from the current one."""
     (here / "evil.py").write_text("open('ran', 'w').close()\n")
-    folder = changed(evaluation, here, source="run/checkpoints/step-000000000001.pt")
+    folder = changed(evaluation, here, source=source)
     (folder / "run" / "checkpoints").mkdir(parents=True)
     (folder / "run" / "checkpoints" / "step-000000000001.pt").touch()
     (folder / "run" / run_folder.CONFIG_FILE).write_text("algo: {name: 'evil:Thing'}\n")

@@ -166,7 +166,7 @@ def test_a_stopped_process_ends_a_multisync_run_in_the_time_of_the_watchdog(tmp_
         os.kill(collecting[1], signal.SIGSTOP)
         _, error = process.communicate(timeout=100)
         assert process.returncode == 1 and "Traceback" not in error, error
-        assert "for env.watchdog_s" in error and "resume=" in error and time.monotonic() - begin < 60
+        assert "raise env.watchdog_s" in error and "resume=" in error and time.monotonic() - begin < 60
         with contextlib.suppress(ProcessLookupError):
             os.kill(collecting[1], 0)
             raise AssertionError("the stopped process is still there")

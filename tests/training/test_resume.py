@@ -122,6 +122,7 @@ def test_an_option_that_is_changed_leaves_the_others_of_its_group_as_they_were(t
         (["device=cuda"], "device=cuda, but PyTorch finds no GPU"),
         (["twin.surrogate=cuda"], "twin.surrogate=cuda, but PyTorch finds no GPU"),
         (["num_envs=6"], "policies play the same episodes side by side"),
+        (["run_dir=elsewhere"], "a resumed run stays in its folder; leave run_dir out."),
     ],
 )
 def test_a_refused_resumption_leaves_the_run_as_it_was(

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from izoo import train
+from izoo import collect, train
 from izoo.conf.train_options import CollectConfig
 from izoo.training import checkpoint, run_folder
 from izoo.training.offline import make_policy
@@ -73,6 +73,12 @@ def test_what_does_not_fit_is_refused_and_leaves_nothing(
     said = refused(train.main, [*toy, *words, f"start={trained}", f"run_dir={tmp_path / 'runs' / 'run'}"])
     assert message.lower() in said.lower()
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_policy_collects_with_its_own_length_of_a_decision(trained: Path, tmp_path: Path, refused: Refused) -> None:
+    words = ["contexts=pcg_easy", f"policy={trained}", "frames=10", f"out={tmp_path / 'data'}", "env.hold_s=2"]
+    refused(collect.main, words, "decides every 0.5 s, and env every 2 s; set env.hold_s=0.5.")
+    assert not (tmp_path / "data").exists()
 
 
 def test_what_collects_is_the_policy_and_not_its_search(tmp_path: Path) -> None:
