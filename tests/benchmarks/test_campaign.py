@@ -125,7 +125,7 @@ def test_everything_is_there(done: Path) -> None:
 @pytest.mark.parametrize("runs_at_once", [1, 2])
 def test_a_campaign_that_was_stopped_by_ctrl_c_and_then_killed_goes_on(tmp_path: Path, runs_at_once: int) -> None:
     folder, more, lane = tmp_path / "a", [f"runs_at_once={runs_at_once}"], {"seeds": runs_at_once}
-    lane["train"] = ["total_frames=2000"]
+    lane["train"] = ["total_frames=600"]
 
     def frames() -> int:
         return checkpoint.frames_of(checkpoint.listed(folder / "lane/train/ppo/seed0")[-1])
@@ -146,9 +146,9 @@ def test_a_campaign_that_was_stopped_by_ctrl_c_and_then_killed_goes_on(tmp_path:
     process.communicate()
     for seed in range(runs_at_once):
         wait_until_nobody_trains(folder / f"lane/train/ppo/seed{seed}")
-    assert frames() < 2000 and is_missing()
+    assert frames() < 600 and is_missing()
     assert campaign.main([*words(folder, **lane), *more]) == 0
-    assert_everything_is_there(folder, runs_at_once, 2000)
+    assert_everything_is_there(folder, runs_at_once, 600)
 
 
 @pytest.mark.slow
