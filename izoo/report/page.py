@@ -146,7 +146,7 @@ def _part(evaluation: Evaluation) -> dict[str, Any]:
         "movements": movements.html() if movements else "",
         "maps": town_maps(evaluation),
         "closed_by": {name: of["closed_by"] for name, of in evaluation.paper.items() if of["closed_by"]},
-        "paper": paper_table(evaluation.paper, "", evaluation.task).html() if published_for(evaluation.task) else "",
+        "paper": paper_table(evaluation.paper, evaluation.task).html() if published_for(evaluation.task) else "",
     }
 
 
@@ -167,7 +167,7 @@ def _charts(results: Results) -> dict[str, list[Chart]]:
         for j, (name, of) in enumerate(values.items()):
             found["histograms"].append(plots.histogram(of, name, f"histogram{place}-{j}", colour=tint[name]))
         if published_for(evaluation.task):
-            chart = plots.forest(paper_table(evaluation.paper, "", evaluation.task), f"published{place}", 1)
+            chart = plots.forest(paper_table(evaluation.paper, evaluation.task), f"published{place}", 1)
             found["published"].append(chart)
     tint = plots.colours([name for evaluation in results.evaluations for name in evaluation.policies])
     found["curves"] = curves(results.curves, colours={name: tint[name] for name in results.curves if name in tint})

@@ -66,12 +66,11 @@ def published_for(task: str) -> tuple[Published, ...]:
     return PUBLISHED.get(name, ()) if name != task else ()
 
 
-def paper_table(aggregates: Mapping[str, Mapping[str, Any]], title: str, task: str = "") -> Table:
+def paper_table(aggregates: Mapping[str, Mapping[str, Any]], task: str) -> Table:
     """Return the paper's form of entries, and what it published for the task.
 
     Args:
         aggregates: of :func:`izoo.metrics.paper_form.paper_form`, by entry.
-        title: of the table.
         task: for which something may have been published.
     """
     rows = []
@@ -85,7 +84,7 @@ def paper_table(aggregates: Mapping[str, Mapping[str, Any]], title: str, task: s
         cells = {key: _percent(known.get(key), key) for key in COLUMNS}
         cells["share_gated"] = dataclasses.replace(cells["share_gated"], note="benefit of 0")
         theirs.append(Row(f"{each.algorithm}, published", tuple(cells.values())))
-    return Table(title, ("entry", *COLUMNS.values()), (("", tuple(rows)), ("published", tuple(theirs))))
+    return Table("", ("entry", *COLUMNS.values()), (("", tuple(rows)), ("published", tuple(theirs))))
 
 
 def _percent(share: float | None, key: str) -> Cell:

@@ -59,7 +59,7 @@ class ProcessCollector(MultiSyncCollector):
         """Yield batches ``[N, T]``.
 
         Raises:
-            UnfinishedError: a process has ended, or none took a step and all were ended.
+            UnfinishedError: a process has ended, or a batch took too long and all were ended.
         """
         batches = super().iterator()
         with contextlib.suppress(StopIteration):
