@@ -29,14 +29,15 @@ from izoo.metrics import REFERENCE
 if TYPE_CHECKING:
     from izoo.envs.backend import Backend
     from izoo.envs.config import EnvConfig, RewardConfig
-    from izoo.envs.env import Contexts, EcoDrivingBase, EcoDrivingEnv, SideBySideEnv, SumoParallelEnv
+    from izoo.envs.env import Contexts, EcoDrivingBase, EcoDrivingEnv
+    from izoo.envs.side_by_side import SideBySideEnv, SumoParallelEnv
     from izoo.envs.twin_env import TwinEnv
 
 _HOME = {
     "EcoDrivingEnv": "env",
     "EnvConfig": "config",
     "RewardConfig": "config",
-    "SumoParallelEnv": "env",
+    "SumoParallelEnv": "side_by_side",
     "TwinEnv": "twin_env",
 }
 __all__ = [
@@ -64,7 +65,7 @@ class Simulator:
         backend: ``module:Class``: given the settings, and how many, it makes the backend of environments in this
             process (:class:`~izoo.envs.backend.Backend`).
         several: ``module:Class``: environments side by side, made as by :func:`make`; empty:
-            :class:`~izoo.envs.env.SideBySideEnv` on ``backend``.
+            :class:`~izoo.envs.side_by_side.SideBySideEnv` on ``backend``.
         check: ``module:function``: raises :class:`~izoo.errors.IzooError` for settings that it cannot play.
         batched: environments side by side are stepped in this process, and not each in a process of its own.
         saves: they can be saved, copied, and played on for a while by themselves (``state_dict``, ``branch``,
@@ -88,7 +89,7 @@ class Simulator:
         """Return the class of environments side by side."""
         if self.several:
             return imported("simulator", self.several)
-        return type("SideBySide", (imported("simulator", "izoo.envs.env:SideBySideEnv"),), {"simulator": self})
+        return type("SideBySide", (imported("simulator", "izoo.envs.side_by_side:SideBySideEnv"),), {"simulator": self})
 
     def check_settings(self, config: EnvConfig) -> None:
         """Raise :class:`~izoo.errors.IzooError` for settings that it cannot play."""
@@ -97,7 +98,9 @@ class Simulator:
 
 
 SIMULATORS = {
-    "sumo": Simulator("SUMO", "izoo.envs.sumo.simulator:SumoSimulator", "izoo.envs.env:SumoParallelEnv", window=True),
+    "sumo": Simulator(
+        "SUMO", "izoo.envs.sumo.simulator:SumoSimulator", "izoo.envs.side_by_side:SumoParallelEnv", window=True
+    ),
     "twin": Simulator(
         "the twin",
         "izoo.envs.twin.backend:TwinBackend",

@@ -349,23 +349,6 @@ LINE_BYTES = 64
 
 
 @intrinsic
-def fetch_line(typing_context, address):  # type: ignore[no-untyped-def]
-    """Ask for the line of the cache at ``address``, which nothing waits for."""
-    if not isinstance(address, types.Integer):
-        raise errors.NumbaTypeError("an address is an integer")
-
-    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        byte, number = ir.IntType(8).as_pointer(), ir.IntType(32)
-        asking = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
-        call = cgutils.get_or_insert_function(builder.module, asking, "llvm.prefetch.p0")
-        # To be read, kept in the second level, data.
-        builder.call(call, [builder.inttoptr(args[0], byte), number(0), number(2), number(1)])
-        return context.get_dummy_value()
-
-    return types.none(types.int64), lower
-
-
-@intrinsic
 def place_of(typing_context, table):  # type: ignore[no-untyped-def]
     """Return the address of the first element of a table."""
     if not isinstance(table, TableType | RecordType):
@@ -378,13 +361,6 @@ def place_of(typing_context, table):  # type: ignore[no-untyped-def]
         return builder.ptrtoint(place, _WORD)
 
     return types.int64(table), lower
-
-
-@compiled
-def fetch(address, size):  # type: ignore[no-untyped-def]
-    """Ask for ``size`` bytes from ``address`` on."""
-    for at in range(0, size, LINE_BYTES):
-        fetch_line(address + at)
 
 
 @intrinsic

@@ -19,10 +19,11 @@ from izoo.contexts.source import Schedule
 from izoo.cores import usable_cores
 from izoo.envs.backend import Play
 from izoo.envs.config import EnvConfig
-from izoo.envs.env import Contexts, SideBySideEnv
+from izoo.envs.env import Contexts
 from izoo.envs.mdp.columns import Vehicle
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.envs.model_version import MODEL_VERSION
+from izoo.envs.side_by_side import SideBySideEnv
 from izoo.envs.twin.backend import TwinBackend
 from izoo.envs.twin.runtime.layout import STATE
 from izoo.errors import IzooError, check_whole
@@ -75,7 +76,7 @@ class TwinEnv(SideBySideEnv):
 
     Args:
         num_envs: ``N``.
-        contexts, options: as for :class:`~izoo.envs.env.SideBySideEnv`.
+        contexts, options: as for :class:`~izoo.envs.side_by_side.SideBySideEnv`.
         threads: how many threads share the environments out among them; by default one per core that is usable.
         surrogate: what computes CO2: ``torch``, the module :class:`~izoo.emissions.moves.MovesSurrogate` in one call
             for all vehicles; ``cuda``, the same on a GPU; or ``compiled``, the same function without torch.

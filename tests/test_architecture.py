@@ -40,7 +40,7 @@ ENV_FLOORS = (
     {"config", "tables", "mdp", "model_version"},
     {"backend", "simulation"},
     {"sumo", "twin"},
-    {"specs", "frame_io", "frame_copies", "render", "env", "twin_env"},
+    {"specs", "frame_io", "frame_copies", "render", "env", "side_by_side", "twin_env"},
     {"views"},
 )
 """The same inside ``envs``; modules that share a floor are one room: the MDP, or the face that TorchRL sees."""

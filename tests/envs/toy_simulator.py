@@ -56,6 +56,4 @@ class Toy(Simulation):
 
 
 class ToyBackend(Simulations):
-    """Environments side by side."""
-
     kind = Toy

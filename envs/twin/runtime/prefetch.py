@@ -7,14 +7,20 @@ A few lines are asked for with each vehicle that is driven.
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils, errors
+
+from izoo.compiling import intrinsic
 from izoo.envs.mdp import columns
 from izoo.envs.mdp.displacement import ROAD
 from izoo.envs.mdp.reward_kernel import NUM_TERMS
 from izoo.envs.mdp.signals import CLOCK
 from izoo.envs.mdp.state import FRAME, TABLES, WORK, WORLD, open_world
-from izoo.envs.tables import LINE_BYTES, WORDS, compiled, fetch, fetch_line, place_of
+from izoo.envs.tables import LINE_BYTES, WORDS, compiled, place_of
 from izoo.envs.twin.runtime.layout import STATE, TRAFFIC, Driver, Vehicle, open_state, open_traffic
 
 WORLD_AT, NET_AT, TRAFFIC_AT, STATE_AT = range(4)
@@ -39,6 +45,30 @@ _DONE, LINES = RANGES - 1, RANGES - 2
 def no_ranges() -> np.ndarray:
     """Return an empty list of ranges."""
     return np.zeros((RANGES, 2), np.int64)
+
+
+@intrinsic
+def fetch_line(typing_context, address):  # type: ignore[no-untyped-def]
+    """Ask for the line of the cache at ``address``, which nothing waits for."""
+    if not isinstance(address, types.Integer):
+        raise errors.NumbaTypeError("an address is an integer")
+
+    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        byte, number = ir.IntType(8).as_pointer(), ir.IntType(32)
+        asking = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
+        call = cgutils.get_or_insert_function(builder.module, asking, "llvm.prefetch.p0")
+        # To be read, kept in the second level, data.
+        builder.call(call, [builder.inttoptr(args[0], byte), number(0), number(2), number(1)])
+        return context.get_dummy_value()
+
+    return types.none(types.int64), lower
+
+
+@compiled
+def fetch(address, size):  # type: ignore[no-untyped-def]
+    """Ask for ``size`` bytes from ``address`` on."""
+    for at in range(0, size, LINE_BYTES):
+        fetch_line(address + at)
 
 
 @compiled
