@@ -3,14 +3,12 @@
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
-from numba.core import event
 
 from izoo import compiling
 
@@ -54,85 +52,10 @@ def test_an_environment_is_compiled_or_says_so() -> None:
     assert "IzooError: NUMBA_DISABLE_JIT is set, and environments are compiled code; unset it." in run.stderr
 
 
-def test_compiled_code_goes_once_nobody_has_used_it_for_a_day(sources: Path) -> None:
-    """Not before: a process of the older sources may still load from there what it calls for the first time."""
-    first = renewed(sources, "x = 1")
-    kept = first / "step.nbi"
-    kept.touch()
-    second = renewed(sources, "x = 2")
-    assert kept.is_file()
-    long_ago = time.time() - 25 * 3600.0
-    for folder in (first, second):
-        os.utime(folder / "writable", (long_ago, long_ago))
-    assert renewed(sources, "x = 2") == second and second.is_dir(), "one's own is used again, however old"
-    assert not first.exists()
-    third = renewed(sources, "x = 3")
-    assert second.is_dir() and third.is_dir(), "it was used a moment ago"
-
-
 def test_a_folder_that_cannot_be_written_is_passed_over(sources: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (sources.parent / "__pycache__").write_text("in the way")
     monkeypatch.setattr(compiling, "cache_root", lambda: sources.parent / "user")
     assert compiling.folder().parent == sources.parent / "user"
-
-
-USE = """
-import sys
-from pathlib import Path
-from izoo import compiling
-
-kept, beside, package = map(Path, sys.argv[1:])
-compiling.cache_root = lambda: kept
-compiling._beside = lambda: beside
-sys.path.insert(0, str(package))
-import step
-
-print(step.twice(21), dict(step.twice.stats.cache_hits) != {}, compiling.folder() == beside)
-"""
-STEP = """
-from izoo.compiling import compiled
-
-@compiled
-def twice(x):
-    return 2 * x
-"""
-
-
-class Installation:
-    """A package with a compiled function, used by one process after the other."""
-
-    def __init__(self, folder: Path) -> None:
-        self.places = kept, beside, package = [folder / name for name in ("kept", "beside", "package")]
-        self.kept, self.beside = kept, beside
-        package.mkdir()
-        (package / "step.py").write_text(STEP)
-
-    def use(self) -> str:
-        """Call the function in a new process: return what comes out, whether it was found, and whether beside."""
-        settings = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-        command = [sys.executable, "-c", USE, *map(str, self.places)]
-        done = subprocess.run(command, capture_output=True, text=True, env=settings)
-        assert done.returncode == 0 and not done.stderr, done.stderr
-        return done.stdout.strip()
-
-    def entries(self) -> list[Path]:
-        return sorted(self.beside.glob("*/*.nb?"))
-
-
-@pytest.fixture
-def installation(tmp_path: Path) -> Installation:
-    return Installation(tmp_path)
-
-
-def test_an_installation_that_cannot_be_written_is_used(installation: Installation) -> None:
-    installation.use()
-    (installation.beside / "writable").unlink()
-    (installation.beside / "writable").symlink_to("nowhere/nothing")  # root may write everything else
-    assert installation.use() == "42 True False"
-    assert not list(installation.kept.glob("*/*/*.nbi"))
-    for path in installation.entries():
-        path.unlink()
-    assert installation.use() == "42 False False" and installation.use() == "42 True False"
 
 
 def test_every_compiled_module_is_a_source() -> None:
@@ -165,21 +88,3 @@ def test_a_function_that_only_borrows_may_not_make_an_array() -> None:
     assert compiling.compiled(reads, borrows=True, cache=False)(np.arange(4.0)) == 6.0
     with pytest.raises(numba.core.errors.NumbaError, match="passed into the function"):
         compiling.compiled(makes, borrows=True, cache=False)(3)
-
-
-def test_a_constant_or_a_short_whole_number_does_not_compile_a_function_again() -> None:
-    @compiling.compiled(cache=False)
-    def add(x, y):  # type: ignore[no-untyped-def]
-        return x + y
-
-    @compiling.compiled(cache=False)
-    def add_up(short):  # type: ignore[no-untyped-def]
-        total = 0
-        for k in range(short.shape[0]):
-            total = add(total, short[k])
-        return add(total, 1)
-
-    with event.install_recorder("numba:compile") as recorder:
-        assert add_up(np.arange(3, dtype=np.int32)) == 4
-    assert sum(happening.is_start for _, happening in recorder.buffer) == 2
-    assert add(1, 2) == 3, "from Python as well"

@@ -40,15 +40,6 @@ def test_lines_without_a_terminal_say_how_long_it_takes(capsys: pytest.CaptureFi
     assert lines[1:] == ["       100 / 100 frames  done"]
 
 
-def test_the_time_left_is_estimated_once_a_twentieth_is_done(capsys: pytest.CaptureFixture[str]) -> None:
-    with Progress(1100, 100, "frames") as bar:
-        for done in (149, 151):
-            bar._last_line = float("-inf")
-            bar.update(done)
-    lines = capsys.readouterr().out.splitlines()
-    assert lines == ["       149 / 1,100 frames", "       151 / 1,100 frames  0 s left"]
-
-
 def test_a_validation_stands_with_its_interval_where_it_has_one() -> None:
     row = {"validation_co2_saved": 3.1, "validation_co2_saved_low": -1.04, "validation_co2_saved_high": 7.2}
     text = in_short({**row, "validation_delay_change_s": 1.0, "frames_per_s": 12.3})

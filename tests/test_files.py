@@ -102,20 +102,3 @@ def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
         raise KeyboardInterrupt
     assert [path.name for path in target.iterdir()] == ["one"]
     assert [path.name for path in target.parent.iterdir()] == ["target"]
-
-
-@pytest.mark.parametrize("has_target", [True, False])
-def test_what_a_killed_process_left_of_a_folder_is_brought_back_or_removed(tmp_path: Path, has_target: bool) -> None:
-    target, old = tmp_path / "target", tmp_path / ".target.old"
-    for folder in (old, target)[: 1 + has_target]:
-        folder.mkdir()
-        (folder / folder.name).touch()
-    with pytest.raises(KeyboardInterrupt), files.replacing_folder(target) as staging:
-        raise KeyboardInterrupt
-    assert [path.name for path in target.iterdir()] == [(target if has_target else old).name]
-    old.mkdir(exist_ok=True)
-    (old / "file").touch()
-    with files.replacing_folder(target) as staging:
-        (staging / "new").touch()
-    assert [path.name for path in target.iterdir()] == ["new"]
-    assert [path.name for path in tmp_path.iterdir()] == ["target"]

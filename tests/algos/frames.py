@@ -113,13 +113,3 @@ def alone(algorithm: SetPPO, observation: torch.Tensor, mask: torch.Tensor) -> t
             with torch.no_grad():
                 values[here][valid] = network(observation[here][valid].unsqueeze(0), everyone)[0, :, 0]
     return values
-
-
-def check_gradients_stay_with_agents(network: torch.nn.Module, features: int) -> None:
-    """Assert that what empty slots hold gets no gradient from a network of observations ``[*B, A, F]`` and a mask."""
-    observation = torch.randn(5, 4, features, requires_grad=True)
-    mask = torch.rand(5, 4, generator=torch.Generator().manual_seed(1)) < 0.6
-    network(observation, mask)[mask].sum().backward()
-    assert observation.grad is not None
-    assert not observation.grad[~mask].any()
-    assert observation.grad[mask].any()

@@ -11,7 +11,7 @@ from izoo.algos.networks.set_networks import places
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M
-from tests.algos.frames import FEATURES, SPACE, act, check_gradients_stay_with_agents, make_frames, shake
+from tests.algos.frames import FEATURES, SPACE, act, make_frames, shake
 
 POSITIONS = torch.tensor([-100.0, -90.0, -60.0, 0.0, 0.0, 30.0])
 EVERYONE = torch.ones(6, dtype=torch.bool)
@@ -170,7 +170,3 @@ def test_a_policy_sees_its_own_frame_alone(changes: dict[str, object]) -> None:
     torch.testing.assert_close(turned, together[..., order], atol=2e-5, rtol=2e-5)
     assert (together[:, ~CROWDED] == torch.tensor([[0.0], [1.0], [0.0], [0.0]])).all()
     assert policy.sample(observation, CROWDED, noise).requires_grad
-
-
-def test_gradients_do_not_reach_empty_slots() -> None:
-    check_gradients_stay_with_agents(make_network(range_m=None, neighbours=2), FEATURES)

@@ -159,17 +159,3 @@ def test_state_is_restored_within_and_after_the_warm_start(algo: str) -> None:
             torch.manual_seed(6)
             results.append([algorithm.update(act(algorithm, batch), 0.5) for _ in range(3)])
         assert results[0] == results[1]
-
-
-def test_what_empty_slots_hold_changes_nothing() -> None:
-    found = []
-    for noise in (0.0, 7.0):
-        torch.manual_seed(0)
-        algorithm = make("ppo", *WARM, action="advise")
-        batch = glide_batch()
-        batch[base.OBSERVATION][~batch[base.MASK]] = noise
-        torch.manual_seed(1)
-        acted = act(algorithm, batch)
-        torch.manual_seed(2)
-        found.append(algorithm.update(acted, 0.0))
-    assert found[0] == found[1]

@@ -1,78 +1,18 @@
-"""Algorithms by name: what the registry offers can be chosen and built, and a line gives a further one a name."""
+"""Algorithms by name: what the registry offers can be chosen and built."""
 
 import dataclasses
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import torch
 
 from izoo import train
-from izoo.algos.learners import registry
-from izoo.algos.learners.registry import ALGORITHMS, Home, choices, make_algorithm, preset
+from izoo.algos.learners.registry import ALGORITHMS, choices, make_algorithm, preset
 from izoo.cli.compose import compose_config
-from izoo.conf.choices import groups
 from izoo.conf.mapping import from_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from izoo.training import run_folder
-
-NEW = '''
-from dataclasses import dataclass
-
-import torch
-from tensordict.nn import TensorDictModule
-
-from izoo.algos.learners.registry import AlgoConfig
-
-
-@dataclass(frozen=True)
-class CalmConfig(AlgoConfig):
-    """Options of an algorithm that learns nothing.
-
-    Attributes:
-        name: the algorithm.
-        frames_per_batch: environment steps between two updates.
-        accel_mps2: what every vehicle is told.
-    """
-
-    name: str = "calm"
-    frames_per_batch: int = 100
-    accel_mps2: float = 0.25
-
-    @classmethod
-    def slow(cls):
-        return cls(accel_mps2=0.1)
-
-
-class Calm:
-    options = CalmConfig
-
-    def __init__(self, config, features, space, device="cpu"):
-        self.accel = torch.nn.Parameter(torch.tensor(config.accel_mps2))
-        act = lambda observation: self.accel.detach().expand(*observation.shape[:-1], 1).clone()
-        self.policy = TensorDictModule(act, [("agents", "observation")], [("agents", "action")])
-
-    def update(self, batch, progress):
-        return {}
-
-    def state_dict(self):
-        return {"accel": self.accel.detach()}
-
-    def load_state_dict(self, state):
-        self.accel.data.copy_(state["accel"])
-'''
-
-
-@pytest.fixture
-def calm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """A further algorithm: one file, and one line of the registry."""
-    (tmp_path / "calm_algorithm.py").write_text(NEW)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setitem(ALGORITHMS, "calm", Home("calm_algorithm:Calm", ("slow",)))
-    groups.cache_clear()
-    yield
-    groups.cache_clear()
 
 
 @pytest.mark.parametrize("choice", choices())
@@ -108,16 +48,3 @@ def test_unknown_names_are_refused_by_the_legal_ones() -> None:
         from_mapping(TrainConfig, {"algo": {"name": "sarsa"}})
     with pytest.raises(IzooError, match="group of options"):
         from_mapping(TrainConfig, {"algo": "ppo"})
-
-
-@pytest.mark.usefixtures("calm")
-def test_an_algorithm_is_one_file_and_one_line(tmp_path: Path) -> None:
-    assert {"calm", "calm_slow"} <= set(registry.choices())
-    config = compose_config(TrainConfig, ["algo=calm_slow", "algo.frames_per_batch=50"])
-    assert (config.algo.name, config.algo.frames_per_batch) == ("calm", 50)
-    assert getattr(config.algo, "accel_mps2") == 0.1  # noqa: B009
-    with pytest.raises(IzooError, match="It is an option of algo=calm and algo=calm_slow"):
-        compose_config(TrainConfig, ["algo.accel_mps2=1"])
-    run_folder.write_config(tmp_path, config)
-    assert run_folder.read_config(tmp_path) == config
-    assert make_algorithm(config.algo, config.action, config.env).update(None, 0.0) == {}  # type: ignore[arg-type]

@@ -1,19 +1,17 @@
-"""What MAPPO and graph RL share: whole frames, and indifference to slot order, slot count and padding."""
+"""What MAPPO and graph RL share: minibatches of whole frames, few agents, and copies of a policy."""
 
 import copy
 import math
 
 import pytest
 import torch
-from tensordict import TensorDict
-from torchrl.envs.utils import ExplorationType
 
 from izoo.algos.learners import base
 from izoo.algos.learners.graph_ppo import GCRL, GCRLConfig
 from izoo.algos.learners.mappo import MAPPO, MAPPOConfig
 from izoo.algos.learners.set_ppo import SetPPO
-from izoo.algos.networks.set_networks import FRAME, places
-from tests.algos.frames import FEATURES, SPACE, act, alone, make_frames, shake
+from izoo.algos.networks.set_networks import FRAME
+from tests.algos.frames import FEATURES, SPACE, act, make_frames, shake
 
 KINDS = {
     "mappo": (MAPPO, MAPPOConfig, {"critic_queries": 2, "critic_embedding": 6}),
@@ -28,23 +26,6 @@ def make(kind: str, **changes: object) -> SetPPO:
     made = algorithm(config(**{"hidden": (8, 8), "minibatch_rows": 7, **small, **changes}), FEATURES, SPACE)  # type: ignore[operator]
     shake(made.actor, 0.1)  # an untrained policy hardly looks at what it observes
     return made
-
-
-def test_places_number_frames_and_agents(kind: str) -> None:
-    mask = torch.tensor([[[1, 0, 1], [0, 0, 0]], [[0, 1, 0], [1, 1, 1]]], dtype=torch.bool)
-    frame, column = places(mask)
-    assert frame.tolist() == [0, 0, 1, 2, 2, 2]
-    assert column.tolist() == [0, 1, 0, 0, 1, 2]
-
-
-def test_values_are_those_of_each_frame_alone(kind: str) -> None:
-    algorithm, batch = make(kind), make_frames()
-    mask = batch[base.MASK]
-    expected = alone(algorithm, batch[base.OBSERVATION], mask)
-    with torch.no_grad():
-        torch.testing.assert_close(algorithm.loss.value_estimator.values(batch, mask).squeeze(-1), expected[mask])
-        some = mask & (torch.arange(4) == 2)
-        torch.testing.assert_close(algorithm.loss.value_estimator.values(batch, some).squeeze(-1), expected[some])
 
 
 def test_minibatches_are_whole_frames_and_cover_everything(kind: str) -> None:
@@ -90,21 +71,3 @@ def test_a_copied_policy_acts_by_its_own_weights(kind: str) -> None:
             parameter.zero_()
         assert torch.equal(other(batch.clone())[base.LOC], before)
     assert not act(algorithm, batch)[base.LOC][mask].any()
-
-
-def test_noise_in_empty_slots_does_not_reach_actions(kind: str) -> None:
-    algorithm, batch = make(kind), make_frames()
-    noisy = batch.clone()
-    noisy[base.OBSERVATION][~batch[base.MASK]] = 1e6
-    mask = batch[base.MASK]
-    torch.testing.assert_close(act(algorithm, noisy)[base.ACTION][mask], act(algorithm, batch)[base.ACTION][mask])
-    assert act(algorithm, batch[0, 0])[base.ACTION].shape == (4, 1), "without a batch dimension, too"
-
-
-def test_permuted_agents_act_alike(kind: str) -> None:
-    algorithm, batch = make(kind), make_frames()
-    order = torch.tensor([2, 0, 3, 1])
-    permuted = TensorDict({"agents": batch["agents"][..., order]}, batch.batch_size)
-    straight, turned = (act(algorithm, b, kind=ExplorationType.DETERMINISTIC)[base.ACTION] for b in (batch, permuted))
-    mask = batch[base.MASK][..., order]
-    torch.testing.assert_close(turned[mask], straight[..., order, :][mask])

@@ -1,15 +1,11 @@
 """The speed benchmark: what cannot be measured is refused, and every row says how fast something is."""
 
 import math
-import threading
-import time
-from types import SimpleNamespace
 
 import pytest
 
 from izoo.benchmarks import speed
-from izoo.benchmarks.timing.clocks import CORES, Timed, timed
-from izoo.envs.twin.runtime.thread_pool import ThreadPool
+from izoo.benchmarks.timing.clocks import CORES, Timed
 from tests.conftest import Refused
 
 
@@ -32,26 +28,6 @@ def test_the_serial_share_bounds_the_speed_up() -> None:
     assert Timed(1, 1.0, 0.0, 1.0).most == CORES
     assert Timed(1, 1.0, 1.0, 0.0).most == 1.0
     assert math.isclose(Timed(1, 1.0, 0.04, 0.96).most, 10.0)
-
-
-def test_serial_is_what_the_main_thread_does_beside_its_share() -> None:
-    def work(seconds: float) -> None:
-        begin = time.thread_time()
-        while time.thread_time() - begin < seconds:
-            pass
-
-    pool = ThreadPool(2, lambda: None)
-    backend = SimpleNamespace(_pool=pool)
-
-    def step() -> None:
-        work(0.02)
-        pool.work(lambda thread: work(0.03))
-
-    found = timed(step, 0.05, backend)
-    pool.close()
-    assert found.serial_s == pytest.approx(0.02, rel=0.3)
-    assert found.shared_s == pytest.approx(0.06, rel=0.3)
-    assert "work" not in vars(pool) and threading.active_count() >= 1
 
 
 @pytest.mark.slow

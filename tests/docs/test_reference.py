@@ -119,17 +119,3 @@ def test_links_lead_to_files() -> None:
 def test_the_site_asks_for_nothing_from_the_network() -> None:
     text = (ROOT / "mkdocs.yml").read_text()
     assert "://" not in text and "font: false" in text
-
-
-def test_docstrings_are_rewritten() -> None:
-    pytest.importorskip("griffe")
-    from izoo.docs import docstrings
-
-    text = (
-        "Do it.\n\nArgs:\n    a, b: first\n        line, two: more\n    c: :class:`~izoo.x.Y` it is\n\n"
-        "Raises:\n    d, e: no"
-    )
-    assert docstrings.rewrite(text) == (
-        "Do it.\n\nArgs:\n    a: first\n        line, two: more\n    b: first\n        line, two: more\n"
-        "    c: `Y` it is\n\nRaises:\n    d, e: no"
-    )

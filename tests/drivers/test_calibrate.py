@@ -2,10 +2,7 @@
 
 import json
 import re
-from importlib.resources import files
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +13,6 @@ from izoo.cli import calibrate
 from izoo.conf.context_choices import PcgContexts
 from izoo.contexts.population import read_population
 from izoo.drivers import estimate as estimating
-from izoo.drivers.mcmc import SamplerConfig
 from izoo.errors import IzooError
 from tests.conftest import Refused
 from tests.drivers.platoons import MEDIANS, SPREAD, platoon_table
@@ -67,33 +63,6 @@ def test_chains_that_did_not_converge_say_so(pairs: Path, tmp_path: Path, capsys
         read_population(out)
 
 
-@pytest.mark.slow
-def test_a_result_that_nobody_may_drive_with_replaces_none_that_one_may(
-    pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "population.json"
-    built_in = files("izoo.traffic").joinpath("idm_population.json").read_text()
-    out.write_text(built_in)
-    assert calibrate.main(["calibrate", str(pairs), "--out", str(out), *SHORT]) == 1
-    assert out.read_text() == built_in and f"{out} holds drivers of before" in capsys.readouterr().out
-    beside = {"population.json", "population.not-converged.json", "population.not-converged.light.png"}
-    assert {path.name for path in tmp_path.iterdir()} == beside
-    with pytest.raises(IzooError, match="did not converge"):
-        read_population(tmp_path / "population.not-converged.json")
-
-
-def test_chains_that_do_not_move_have_a_result_that_did_not_converge() -> None:
-    stuck = np.concatenate([np.full((1, 40), 0.1), np.full((3, 40), 0.2)])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        quantities = tuple(estimating._quantity("median T_s", values) for values in (stuck, np.ones((4, 40))))
-    assert not any(quantity.converged for quantity in quantities)
-    data, predictions = SimpleNamespace(drivers=("a",), minutes=1.0, step_s=0.5), SimpleNamespace(coverage={0.5: 0.5})
-    result: Any = SimpleNamespace(data=data, diverging=160, predictions=predictions, quantities=quantities[1:])
-    content = estimating._provenance(result, SamplerConfig())
-    json.dumps(content, allow_nan=False)
-    assert content["quantities"]["median T_s"]["ess"] is None
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -118,11 +87,3 @@ def test_without_the_extra_it_says_what_to_install(
     monkeypatch.setattr(calibrate, "PACKAGES", ("no_such_package",))
     words = ["calibrate", str(pairs), "--out", str(tmp_path / "p.json")]
     refused(calibrate.main, words, "pip install 'izoo[calibrate]'")
-
-
-@pytest.mark.parametrize(
-    ("correlation", "words"), [(-0.4, "SPEEDS ARE NOISY: smooth"), (0.0, ""), (0.6, "drivers have memory")]
-)
-def test_residuals_that_hang_together_are_remarked_on(correlation: float, words: str) -> None:
-    remark = calibrate._remark(correlation)
-    assert words in remark and bool(words) == bool(remark)

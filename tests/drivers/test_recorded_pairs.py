@@ -335,9 +335,3 @@ def test_no_pickle_is_ever_opened(tmp_path: Path) -> None:
         with pytest.raises(IzooError):
             read_following([path], ReadConfig())
     assert not (tmp_path / "sprung").exists()
-
-
-@pytest.mark.parametrize("name", ["gapfeet10", "pairs_exchanged"])
-def test_files_at_10_hz_in_wrong_units(faults: Path, name: str) -> None:
-    with pytest.raises(IzooError, match="times as fast as the speeds say"):
-        read_following([faults / "trajectories" / f"{name}.csv.gz"], ReadConfig())

@@ -10,7 +10,6 @@ import pytest
 
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv
 from izoo.envs.sumo.session import sumo_arguments
-from izoo.envs.sumo.stderr_filter import StderrFilter
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 from izoo.traffic.sampling import sample_traffic, write_routes
@@ -43,25 +42,3 @@ def test_worker_processes_do_not_print_dropped_vehicles(capfd: pytest.CaptureFix
         frames = play(env, CONFIG.control_steps, defer)
     assert frames["next", "metrics", "approach", "dropped"][0, -1].sum() > 0
     assert DROPPED not in capfd.readouterr().err
-
-
-def test_only_messages_about_dropped_vehicles_are_removed(capfd: pytest.CaptureFixture[str]) -> None:
-    stderr = StderrFilter()
-    line = f"Error: Vehicle '7' {DROPPED} on lane 'AB2A_0' with speed 5.00 (junction 'A' too close), time=1.00.\n"
-
-    def print_past_python() -> None:
-        os.write(2, f"{line}Error: something else\n{line}another program's\n".encode())
-
-    stderr.call(print_past_python)
-    stderr.call(lambda: None)
-    assert stderr.dropped == 2
-    assert capfd.readouterr().err == "Error: something else\nanother program's\n"
-
-    def fail() -> None:
-        os.write(2, b"Error: why\n")
-        raise RuntimeError("Process Error")
-
-    with pytest.raises(RuntimeError, match="Process Error"):
-        stderr.call(fail)
-    os.write(2, b"after\n")
-    assert capfd.readouterr().err == "Error: why\nafter\n"

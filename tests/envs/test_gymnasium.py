@@ -312,9 +312,3 @@ def test_bad_options_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, options, kind, message in wrong:
         with pytest.raises(kind, match=message), view(name, **options):
             pass
-
-
-def test_the_twin_renders() -> None:
-    with view(JOINT, simulator="twin", render_mode="rgb_array") as env:
-        env.reset(seed=0)
-        assert env.render().shape == (640, 640, 3) and env.render().std() > 0.0

@@ -22,7 +22,7 @@ from izoo.contexts.context import Context
 from izoo.envs import EcoDrivingEnv, EnvConfig, SumoParallelEnv
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
-from tests.envs.worlds import crossing, defer, digest, play, play_on, process_of, same, short, steer
+from tests.envs.worlds import crossing, defer, digest, play, play_on, process_of, short, steer
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and sends signals")
 
@@ -231,15 +231,3 @@ def test_workers_end_with_their_parent(ending: str, tmp_path: Path) -> None:
         parent.communicate()
     assert not wait_until_gone(pids), "workers have outlived their parent"
     assert not any(path.exists() for path in segments) and list(tmp_path.iterdir()) == []
-
-
-def test_automatic_reset_after_a_lost_worker(pair: SumoParallelEnv) -> None:
-    """It begins the lost worker's next episode, and keeps the other's state."""
-    _, state = play_on(pair, 30, steer, pair.reset())
-    os.kill(process_of(pair, 0), signal.SIGKILL)
-    frame, after = pair.step_and_maybe_reset(steer(state))
-    assert frame["next", "truncated"].flatten().tolist() == [True, False]
-    assert after["context", "episode"].flatten().tolist() == [2, 1]
-    assert after["metrics", "episode", "steps"].flatten().tolist() == [0.0, 31.0]
-    assert same(after[1], frame["next"][1].exclude("reward", ("agents", "reward")))
-    assert not after["done"].any()

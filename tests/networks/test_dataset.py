@@ -141,6 +141,7 @@ def _features(spec: IntersectionSpec, letter: str) -> tuple[float, ...]:
         (lambda net: net.replace('id="TL2', 'id="X2'), "and outgoing ones"),
         (lambda net: net[:-40], "not well-formed XML"),
         (lambda net: "", "not well-formed XML"),
+        (lambda net: f'<?xml version="1.0" encoding="foo"?>{net}', "not well-formed XML"),
         (lambda net: net.replace("<net ", "<road ").replace("</net>", "</road>"), "not a SUMO net"),
         (lambda net: '<!DOCTYPE net [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]>' + net, "not well-formed XML"),
         (lambda net: net.replace('speed="13.41"', 'speed="fast"'), "not a complete SUMO net"),

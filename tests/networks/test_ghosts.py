@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from izoo.contexts.procedural import procedural_intersection
-from izoo.contexts.spec import GhostSpec, IntersectionSpec, SignalPhase, SignalPlan
+from izoo.contexts.spec import IntersectionSpec, SignalPhase, SignalPlan
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.net.programs import ghost_program
@@ -34,13 +34,6 @@ def test_ghosts_repeat_the_signal_of_their_own_leg():
     assert seconds(spec, "D") == seconds(spec, "B")
 
 
-def test_the_offset_delays_the_ghosts():
-    plain, late = (procedural_intersection(1, 1, green_s=20.0, red_s=30.0, offset_s=offset) for offset in (0.0, 2.0))
-    for leg in "AB":
-        shown = seconds(plain, leg)
-        assert seconds(late, leg) == shown[-2:] + shown[:-2]
-
-
 @pytest.mark.parametrize("phase_count", [1, 2])
 def test_a_built_net_shows_the_main_signal_at_its_ghosts(phase_count, tmp_path):
     spec = procedural_intersection(1, phase_count, green_s=20.0, red_s=30.0, offset_s=2.0)
@@ -51,14 +44,6 @@ def test_a_built_net_shows_the_main_signal_at_its_ghosts(phase_count, tmp_path):
             main = shown["TL"][time_s - 2.0][number * per_leg : (number + 1) * per_leg]
             # The straight link is the first of a leg that may not turn right.
             assert shown[leg][float(time_s)][0] == main[0].replace("g", "G"), (leg, time_s)
-
-
-def test_other_worlds_keep_their_greens():
-    spec = dataclasses.replace(
-        procedural_intersection(1, 1, green_s=20.0, red_s=30.0), ghosts=GhostSpec(10.0, 15.0, 3.0)
-    )
-    for leg in "AB":
-        assert run_lengths(seconds(spec, leg)) == [("Gr", 10), ("yr", 3), ("rG", 15), ("ry", 3)]
 
 
 @pytest.mark.parametrize(

@@ -109,12 +109,6 @@ def test_hostile_archives_do_nothing_outside_the_target(tmp_path: Path) -> None:
         import_dataset(archive, tmp_path / "held")
 
 
-@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="there is no such device here")
-def test_a_device_is_not_read(tmp_path: Path) -> None:
-    with pytest.raises(IzooError, match="/dev/zero is neither a folder nor a file"):
-        import_dataset(Path("/dev/zero"), tmp_path / "target")
-
-
 def test_damaged_archives_are_named(tmp_path: Path, source: Path) -> None:
     (tmp_path / "x.zip").write_bytes(b"not a zip")
     with pytest.raises(IzooError, match="neither a folder nor a readable zip"):
@@ -132,34 +126,19 @@ def test_damaged_archives_are_named(tmp_path: Path, source: Path) -> None:
     assert not (tmp_path / "target").exists()
 
 
-def test_other_files_in_the_target_are_safe(tmp_path: Path, source: Path) -> None:
-    target = tmp_path / "target"
-    target.mkdir()
-    (target / "thesis.tex").write_text("years of work")
-    with pytest.raises(IzooError, match=r"holds other files \(thesis\.tex\)"):
-        import_dataset(source, target)
-    assert tree(target) == {"thesis.tex"}
-    with pytest.raises(IzooError, match="within each other"):
-        import_dataset(source, source / "target")
-
-
-@pytest.mark.parametrize("manifest", ['{"name": "app"}', '{"datasets": ["thesis"]}', "[]", "no JSON"])
-def test_a_manifest_of_something_else_is_safe(manifest: str, tmp_path: Path, source: Path) -> None:
+@pytest.mark.parametrize("manifest", [None, '{"name": "app"}', '{"datasets": ["thesis"]}', "no JSON"])
+def test_other_files_in_the_target_are_safe(manifest: str | None, tmp_path: Path, source: Path) -> None:
     target = tmp_path / "target"
     (target / "thesis").mkdir(parents=True)
     (target / "thesis" / "thesis.tex").write_text("years of work")
-    (target / "manifest.json").write_text(manifest)
+    if manifest is not None:
+        (target / "manifest.json").write_text(manifest)
     before = tree(target)
-    with pytest.raises(IzooError, match=r"holds other files \(manifest\.json, thesis\); choose a new folder\."):
+    with pytest.raises(IzooError, match=r"holds other files \((manifest\.json, )?thesis\)"):
         import_dataset(source, target)
     assert tree(target) == before
-
-
-def test_a_net_in_an_unknown_encoding_costs_its_own_folder_alone(tmp_path: Path, source: Path) -> None:
-    net = source / "9" / "net.net.xml"
-    net.write_text('<?xml version="1.0" encoding="foo"?>' + net.read_text().partition("?>")[2])
-    report = import_dataset(source, tmp_path / "target")
-    assert "not well-formed XML" in report.unusable["salt-lake-city/9"] and report.usable
+    with pytest.raises(IzooError, match="within each other"):
+        import_dataset(source, source / "target")
 
 
 def test_names_of_a_foreign_archive_cannot_command_a_terminal(tmp_path: Path) -> None:
@@ -176,22 +155,3 @@ def test_an_earlier_import_is_replaced_whole(tmp_path: Path, source: Path) -> No
     import_dataset(other, target)
     assert [row["dataset"] for row in csv.DictReader((target / "index.csv").open())] == ["atlanta"]
     assert not (target / "salt-lake-city").exists()
-
-
-def test_an_import_is_whole_or_leaves_no_trace(tmp_path: Path, source: Path) -> None:
-    target = tmp_path / "target"
-
-    def stop(done: int, total: int) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        import_dataset(source, target, progress=stop)
-    assert not target.exists()
-    killed = tmp_path / ".target.partial" / "salt-lake-city"
-    killed.mkdir(parents=True)
-    import_dataset(source, target)
-    assert not killed.exists()
-    before = tree(tmp_path)
-    with pytest.raises(KeyboardInterrupt):
-        import_dataset(source, target, progress=stop)
-    assert tree(tmp_path) == before and len(load_dataset(target)) == 1

@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 
 from izoo.errors import IzooError
-from izoo.networks.osm.streets import Way, read_streets
-from izoo.networks.osm.tags import parse_speed, speed_limit
-from tests.networks.test_osm import Map, approach, build, crossing, way
+from izoo.networks.osm.streets import read_streets
+from tests.networks.test_osm import Map, approach, build, crossing
 
 pytest.importorskip("osmium", reason="reading OpenStreetMap needs the extra izoo[osm]")
 
@@ -116,29 +115,3 @@ def test_small_extracts(
     if exit_lanes is not None:
         assert spec.leg("D").exit_lanes == exit_lanes and "lanes of D" not in spec.imputed
     assert spec.right_on_red == (name != "no_rtor")
-
-
-SPEEDS = {
-    **{"30 mph": 13.4112, "50": 50 / 3.6, "50 km/h": 50 / 3.6, "30mph; 20 mph": 13.4112, "walk": 7 / 3.6},
-    **dict.fromkeys(("DE:zone30", "DE:zone:30", "FR:zone30"), 30 / 3.6),
-    **{"GB:zone20": 20 * 0.44704, **dict.fromkeys(("none", "US:urban", "RO:urban", "signals", "999", None))},
-}
-
-
-@pytest.mark.parametrize("text", SPEEDS)
-def test_speed_limits(text: str | None) -> None:
-    assert parse_speed(text) == pytest.approx(SPEEDS[text])
-
-
-@pytest.mark.parametrize(
-    ("street", "direction", "expected"),
-    [
-        (way(maxspeed="50", maxspeed__backward="30"), 1, (50 / 3.6, False)),
-        (way(maxspeed="50", maxspeed__backward="30"), -1, (30 / 3.6, False)),
-        (way(maxspeed="signals"), 1, (35 * 0.44704, True)),
-        (way(zone__maxspeed="DE:30"), 1, (30 / 3.6, False)),
-        (way(maxspeed="50", maxspeed__type="DE:zone30"), 1, (50 / 3.6, False)),
-    ],
-)
-def test_which_limit_counts(street: Way, direction: int, expected: tuple[float, bool]) -> None:
-    assert speed_limit(street, direction) == pytest.approx(expected)
