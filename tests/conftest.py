@@ -13,6 +13,8 @@ from izoo.contexts.source import ContextList
 from izoo.envs.config import EnvConfig
 from izoo.networks.dataset.intersections import load_dataset
 from izoo.networks.net.net_cache import CACHE_ENV
+from izoo.networks.road import RoadNet, read_road
+from tests.networks.handmade import write_handmade
 
 Refused = Callable[..., str]
 SHORT = EnvConfig(horizon_s=120.0, warmup_s=20.0, drain_s=60.0, num_agents=32)
@@ -58,6 +60,18 @@ def published(data: Path) -> Path:
 def dataset(published: Path) -> ContextList:
     """One context per approach of the published dataset's sample, with the default adoption of 1/3."""
     return load_dataset(published)
+
+
+@pytest.fixture(scope="session")
+def busy(dataset: ContextList) -> list[Context]:
+    """The same, those with the most demand first."""
+    return sorted(dataset, key=lambda context: -context.flow_vph_per_lane(context.approach or "A"))
+
+
+@pytest.fixture(scope="session")
+def road(tmp_path_factory: pytest.TempPathFactory) -> RoadNet:
+    """The net that is written by hand."""
+    return read_road(write_handmade(tmp_path_factory.mktemp("net")))
 
 
 @pytest.fixture(scope="session")

@@ -7,6 +7,7 @@ import ast
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -132,30 +133,21 @@ def test_every_room_has_a_floor() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "source"),
+    ("check", "name", "source"),
     [
-        ("izoo.metrics.figures", "from izoo.contexts.context import Context"),
-        ("izoo.envs.env", "def late():\n    from izoo.algos.learners.ppo import PPO"),
-        ("izoo.algos.learners.ppo", "from ...conf import mapping"),
-        ("izoo.cli.compose", "import izoo.benchmarks.campaign.jobs"),
-        ("izoo.new_room.thing", "from izoo import errors"),
+        (violations, "izoo.metrics.figures", "from izoo.contexts.context import Context"),
+        (violations, "izoo.envs.env", "def late():\n    from izoo.algos.learners.ppo import PPO"),
+        (violations, "izoo.algos.learners.ppo", "from ...conf import mapping"),
+        (violations, "izoo.cli.compose", "import izoo.benchmarks.campaign.jobs"),
+        (violations, "izoo.new_room.thing", "from izoo import errors"),
+        (env_violations, "izoo.envs.mdp.reward", "from izoo.envs.sumo.session import Session"),
+        (env_violations, "izoo.envs.backend", "from izoo.envs.twin import state"),
+        (env_violations, "izoo.envs.twin.runtime.layout", "from izoo.envs.sumo import session"),
+        (env_violations, "izoo.envs.nowhere", "import math"),
     ],
 )
-def test_the_arrow_check_can_fail(name: str, source: str) -> None:
-    assert violations(name, Path("module.py"), source)
-
-
-@pytest.mark.parametrize(
-    ("name", "source"),
-    [
-        ("izoo.envs.mdp.reward", "from izoo.envs.sumo.session import Session"),
-        ("izoo.envs.backend", "from izoo.envs.twin import state"),
-        ("izoo.envs.twin.runtime.layout", "from izoo.envs.sumo import session"),
-        ("izoo.envs.nowhere", "import math"),
-    ],
-)
-def test_the_check_inside_envs_can_fail(name: str, source: str) -> None:
-    assert env_violations(name, Path("module.py"), source)
+def test_the_checks_can_fail(check: Callable[[str, Path, str], list[str]], name: str, source: str) -> None:
+    assert check(name, Path("module.py"), source)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from tests.conftest import Refused
 from tests.envs.worlds import crossing, short
 
 FOLDER = Path(__file__).resolve().parent.parent / "izoo" / "docs" / "examples"
@@ -152,20 +151,6 @@ def test_offline_data(tmp_path: Path) -> None:
     losses, summary = offline_data.main(frames=600, updates=20, horizon_s=75.0, contexts=2, cache=tmp_path)
     assert len(losses) == 20 and np.isfinite(losses).all()
     assert {"clone", "glide"} <= summary["entries"].keys()
-
-
-def test_adoption_refuses_what_it_cannot_use_before_anything_is_played(tmp_path: Path, refused: Refused) -> None:
-    from izoo.docs.examples import adoption
-
-    for folder, policies, said in (
-        (tmp_path / "nowhere", (), "nowhere does not exist"),
-        (tmp_path, ("glide", "nonsense"), "unknown policy 'nonsense'"),
-        (tmp_path, (f"ppo=glide,{tmp_path / 'gone.pt'}",), "gone.pt"),
-        *((tmp_path, words, "name") for words in (("a/b=glide",), ("=glide",), ("glide", "glide=uncommanded"))),
-        (tmp_path, ("glide", "glide"), "name"),
-    ):
-        refused(adoption.command, [str(folder), str(tmp_path / "out"), *policies], said)
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

@@ -70,15 +70,9 @@ def test_free_names_are_counted(tmp_path: Path) -> None:
         files.free_folder(tmp_path / "runs" / "run")
 
 
-@pytest.mark.parametrize("before", [None, b"short"])
-def test_a_key_is_made_once_and_for_its_user_alone(
-    before: bytes | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Whichever of several processes makes it; what is no key is replaced."""
+def test_a_key_is_made_once_and_for_its_user_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whichever of several processes makes it."""
     path = tmp_path / "izoo" / "key"
-    if before is not None:
-        path.parent.mkdir()
-        path.write_bytes(before)
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     program = [sys.executable, "-c", "from izoo.user_key import own_key; print(own_key().hex())"]
     others = [subprocess.Popen(program, stdout=subprocess.PIPE, text=True) for _ in range(4)]

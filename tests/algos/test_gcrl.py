@@ -5,13 +5,13 @@ import math
 import pytest
 import torch
 
-from izoo.algos.learners import base, graph_ppo
+from izoo.algos.learners import graph_ppo
 from izoo.algos.learners.graph_ppo import GCRL, STOP_LINE_DISTANCE, Bins, Convolution, GCRLConfig, GraphNetwork
 from izoo.algos.networks.set_networks import places
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.envs.mdp.observation import DISTANCE_SCALE_M
-from tests.algos.frames import FEATURES, SPACE, act, make_frames, shake
+from tests.algos.frames import FEATURES, SPACE, shake
 
 POSITIONS = torch.tensor([-100.0, -90.0, -60.0, 0.0, 0.0, 30.0])
 EVERYONE = torch.ones(6, dtype=torch.bool)
@@ -126,20 +126,6 @@ def test_frames_in_bins_are_as_if_alone(bin_rows: int, monkeypatch: pytest.Monke
         shuffled = torch.randperm(len(frame), generator=torch.Generator().manual_seed(1))
         rows = network.rows(observation[CROWDED][shuffled], frame[shuffled], column[shuffled])
     torch.testing.assert_close(rows, together[CROWDED][shuffled])
-
-
-def test_rows_remember_their_reach() -> None:
-    torch.manual_seed(2)
-    algorithm = GCRL(GCRLConfig(hidden=(8, 8), heads=2, neighbours=1, minibatch_rows=5), FEATURES, SPACE)
-    batch = act(algorithm, make_frames())
-    observation, mask = batch[base.OBSERVATION], batch[base.MASK]
-    position_m = (observation[..., STOP_LINE_DISTANCE] * DISTANCE_SCALE_M).masked_fill(~mask, 0.0)
-    others = mask.unsqueeze(-1) & mask.unsqueeze(-2) & ~torch.eye(4, dtype=torch.bool)
-    rows = algorithm.advantages(batch)
-    assert torch.equal(rows[graph_ppo.REACH], graph_ppo.reach_m(position_m, others, 1, 100.0)[mask])
-    for part in algorithm._minibatches(rows):
-        network, places_of = algorithm.critic.module.network, [part[key] for key in graph_ppo.ROW[:3]]
-        torch.testing.assert_close(network.rows(*places_of, part[graph_ppo.REACH]), network.rows(*places_of))
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,6 @@ from izoo.results import read_table
 from izoo.results.store import read_manifest
 from izoo.training import checkpoint
 from izoo.training.loggers import MetricsTable
-from izoo.training.plots import draw
 from izoo.training.run_folder import owned, read_config, write_config
 from tests.conftest import Refused
 from tests.report.made_tables import table
@@ -225,16 +224,6 @@ def test_costs_are_those_that_were_recorded(tmp_path: Path) -> None:
             MetricsTable(run / "metrics.csv", 40 * k - 1).append(row)
     hours = f"{36 * TrainConfig().env.horizon_s / 3600:.0f}"
     assert [row.cells for row in costs(tmp_path).rows] == [("1", "14", hours, "1.00"), ("1", "14", hours, "-")]
-
-
-@pytest.mark.parametrize("saved", [-60.0, float("nan"), 3.0])
-def test_curves_that_dive_or_are_not_known_are_drawn(tmp_path: Path, saved: float) -> None:
-    run = tmp_path / "train/ppo/seed0"
-    run.mkdir(parents=True)
-    MetricsTable(run / "metrics.csv").append({"frames": 40, "decisions": 7})
-    MetricsTable(run / "validation.csv").append({"frames": 40, "co2_saved": saved, "delay_change_s": 90.0})
-    draw(draw_curves(tmp_path, {"adoption": {0.1: ["contexts.adoption=0.1"]}})).savefig(tmp_path / "curves.png")
-    assert (tmp_path / "curves.png").stat().st_size > 0
 
 
 def test_curves_of_three_factors_stand_beside_another_entry(tmp_path: Path) -> None:

@@ -1,4 +1,7 @@
-"""What drivers do, counted from scenes that are made by hand."""
+"""What drivers do, counted from scenes that are made by hand.
+
+A's left turn is green from 7 s for 30 s, yielding, and from 40 s for 6 s with priority; B's right is ``s``.
+"""
 
 import math
 
@@ -8,19 +11,12 @@ import pytest
 from izoo.benchmarks.fidelity.driving_statistics import COUNTS, DrivingStatistics, rates
 from izoo.contexts.procedural import procedural_context
 from izoo.envs.mdp.snapshot import Scene
-from izoo.networks.road import RoadNet, read_road
-from tests.networks.handmade import write_handmade
+from izoo.networks.road import RoadNet
 
 Row = tuple[str, float, float]
 """Lane, position (m) and speed (m/s)."""
 TO_C, TO_B, FROM_B_TO_A = (0, 2), (0, 1), (1, 0)
 """Movements: straight on and to the left from A, and to the right from B."""
-
-
-@pytest.fixture(scope="module")
-def road(tmp_path_factory: pytest.TempPathFactory) -> RoadNet:
-    """A's left turn is green from 7 s for 30 s, yielding, and from 40 s for 6 s with priority; B's right is ``s``."""
-    return read_road(write_handmade(tmp_path_factory.mktemp("net")))
 
 
 def scene(road: RoadNet, time_s: float, movements: dict[int, tuple[int, int]], rows: dict[int, Row]) -> Scene:

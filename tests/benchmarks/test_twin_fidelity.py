@@ -169,11 +169,6 @@ def test_bad_options(options: dict[str, tuple[object, ...]], said: str) -> None:
         FidelityConfig(**options)  # type: ignore[arg-type]
 
 
-def test_a_window_is_refused_before_anything_is_played(tmp_path: Path, refused: Refused) -> None:
-    refused(twin.main, ["contexts=pcg_easy", "env.gui=true", f"out={tmp_path}/out"], "the twin has no window")
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_net_that_the_twin_cannot_play_is_refused_before_anything_is_played(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

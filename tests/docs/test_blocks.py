@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.docs.blocks import ROOT, Block, blocks_of, command_lines, pages, with_options
+from tests.docs.blocks import ROOT, Block, blocks_of, command_lines, pages
 from tests.docs.run_page import check_command, run_page
 
 Result = subprocess.CompletedProcess[str]
@@ -97,26 +97,3 @@ def test_a_broken_page_fails(text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(Exception) as failure:
         run_page(page)
     assert re.search(message, "".join(traceback.format_exception_only(failure.value)), re.DOTALL)
-
-
-def test_the_failing_line_is_named(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text("Words.\n\n```python\nx = 1\nraise KeyError(x)\n```\n")
-    result = start(page, tmp_path)
-    assert result.returncode != 0 and re.search(r'page\.md", line 5.*KeyError: 1', result.stderr, re.DOTALL)
-
-
-def test_blocks_are_read(tmp_path: Path) -> None:
-    text = (
-        "<!-- not run: needs a key -->\n```python\nsecret()\n```\n\n- item\n\n"
-        "    ```bash\n    make test  # slow\n    ```\n\n"
-        "<!-- run: frames=5 env.horizon_s=30 -->\n\n```bash\nOMP_NUM_THREADS=1 python -m izoo.collect frames=90 \\\n"
-        "    out=x  # data\n```\n```text\nfinished\n```\n"
-    )
-    closed, listed, collect, output = blocks_of(tmp_path / "page.md", text)
-    assert closed.not_run == "needs a key" and closed.line == 3 and output.language == "text"
-    assert command_lines(listed) == [["make", "test"]]
-    (words,) = command_lines(collect)
-    assert collect.run == ("frames=5", "env.horizon_s=30") and words[-1] == "out=x"
-    assert with_options(words, collect.run)[2:] == ["izoo.collect", "out=x", "frames=5", "env.horizon_s=30"]
-    check_command(words)

@@ -13,8 +13,8 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+import torch
 
 from izoo.docs import pages
 from izoo.envs import EnvConfig
@@ -49,32 +49,15 @@ print(json.dumps({
 }))
 """
 ROLLOUT = """
-import numpy
 import sys
+import torch
 from izoo.contexts.procedural import procedural_context
 from izoo.envs import EcoDrivingEnv, EnvConfig, RewardConfig
-from izoo.envs.mdp.reward import REWARD_VECTOR
 
 reward = RewardConfig(eta=0.25, speed=0.0, alpha=0.0, beta=0.0, power=1.0, scale=2.0)
 config = EnvConfig(horizon_s=100.0, reward=reward, emit=("vehicles", "reward_vector"))
 env = EcoDrivingEnv(procedural_context(adoption=0.5, inflow_vph_per_lane=500.0, approach="all"), config=config, seed=3)
-batch = env.rollout(90)
-after = batch["next"]
-numpy.savez(
-    sys.argv[1],
-    sees=batch["agents", "observation"][..., env.observation_names.index("accel")],
-    acts=batch["agents", "mask"],
-    row=batch["agents", "vehicle"],
-    accel_mps2=batch["vehicles", "accel_mps2"],
-    stays=after["agents", "mask"],
-    row_after=after["agents", "vehicle"],
-    speed_after_mps=after["vehicles", "speed_mps"],
-    accel_after_mps2=after["vehicles", "accel_mps2"],
-    present_after=after["vehicles", "present"],
-    reward=after["agents", "reward"].squeeze(-1),
-    own=after["agents", "reward_vector"][..., REWARD_VECTOR.index("power")],
-    fleet=after["agents", "reward_vector"][..., REWARD_VECTOR.index("fleet_power")],
-)
+torch.save(env.rollout(90).to_dict(), sys.argv[1])
 env.close()
 """
 
@@ -206,25 +189,28 @@ def test_help_has_the_option(package: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_a_rollout_pays_the_term_and_observes_the_column(package: Path, tmp_path: Path) -> None:
-    run(package, "-c", ROLLOUT, str(tmp_path / "steps.npz"))
-    steps = np.load(tmp_path / "steps.npz")
-    acts, stays = steps["acts"], steps["acts"] & steps["stays"]
+def test_a_rollout_pays_the_term_and_observes_the_column(package: Path, facts: dict[str, Any], tmp_path: Path) -> None:
+    run(package, "-c", ROLLOUT, str(tmp_path / "steps.pt"))
+    steps = torch.load(tmp_path / "steps.pt")
+    before, after, agents = steps["vehicles"], steps["next"]["vehicles"], steps["next"]["agents"]
+    acts, vector = steps["agents"]["mask"], agents["reward_vector"]
+    stays = acts & agents["mask"]
     assert stays.sum() > 200
 
-    accel_mps2 = np.take_along_axis(steps["accel_mps2"], steps["row"], axis=1)
-    np.testing.assert_allclose(2.6 * steps["sees"][acts], accel_mps2[acts], rtol=1e-5, atol=1e-6)
-    assert np.ptp(accel_mps2[acts]) > 1.0 and not steps["sees"][~acts].any()
+    sees = steps["agents"]["observation"][..., facts["observation_names"].index("accel")]
+    accel_mps2 = before["accel_mps2"].gather(1, steps["agents"]["vehicle"])
+    torch.testing.assert_close(2.6 * sees[acts], accel_mps2[acts], rtol=1e-5, atol=1e-6)
+    assert accel_mps2[acts].std() > 0.1 and not sees[~acts].any()
 
-    power = -np.maximum(0.0, steps["speed_after_mps"] * steps["accel_after_mps2"])
-    own = np.take_along_axis(power, steps["row_after"], axis=1)
-    there = steps["present_after"]
-    fleet = np.where(there, power, 0.0).sum(1) / np.maximum(there.sum(1), 1)
-    np.testing.assert_allclose(steps["own"][stays], own[stays], rtol=1e-4, atol=1e-4)
-    np.testing.assert_allclose(steps["fleet"], np.where(acts, fleet[:, None], 0.0), rtol=1e-4, atol=1e-4)
-    expected = (0.25 * steps["fleet"] + 0.75 * steps["own"]) / 2.0
-    np.testing.assert_allclose(steps["reward"][acts], expected[acts], rtol=1e-4, atol=1e-4)
-    assert np.ptp(own[stays]) > 1.0 and not steps["reward"][~acts].any()
+    power = torch.where(after["present"], -(after["speed_mps"] * after["accel_mps2"]).clamp_min(0.0), 0.0)
+    own, paid = power.gather(1, agents["vehicle"]), vector[..., facts["reward_vector"].index("power")]
+    mean = power.sum(1, keepdim=True) / after["present"].sum(1, keepdim=True).clamp_min(1)
+    fleet = vector[..., facts["reward_vector"].index("fleet_power")]
+    torch.testing.assert_close(paid[stays], own[stays], rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(fleet, torch.where(acts, mean, 0.0), rtol=1e-4, atol=1e-4)
+    reward = agents["reward"].squeeze(-1)
+    torch.testing.assert_close(reward[acts], ((0.25 * fleet + 0.75 * paid) / 2.0)[acts], rtol=1e-4, atol=1e-4)
+    assert own[stays].std() > 0.1 and not reward[~acts].any()
 
 
 @pytest.mark.slow

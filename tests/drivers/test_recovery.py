@@ -77,19 +77,6 @@ def test_a_folder_that_has_all_sets_is_summed_up_and_drawn(
     assert (tmp_path / "recovery.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_sets_of_other_options_are_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    keep(tmp_path, one_set(0), speed_noise=0.05)
-    monkeypatch.setattr(calibration, "recover", lambda number, *_: one_set(number))
-    assert calibration.main([f"out={tmp_path}", "sets=1", "drivers=30"]) == 0
-    assert len(sets_file(tmp_path).read().rows) == 2 * 15
-
-
-def test_a_set_whose_chains_did_not_move_is_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    keep(tmp_path, one_set(0, converged=False, worst_r_hat=None, least_ess=None))
-    assert calibration.main([f"out={tmp_path}", "sets=1", "drivers=30"]) == 0
-    assert "chains that do not move, not converged" in capsys.readouterr().out
-
-
 def test_what_cannot_be_used_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused) -> None:
     """A folder that cannot be made, and the extra that is not installed."""
     refused(calibration.main, ["out=/dev/null/x", "sets=1"], "cannot use /dev/null/x")

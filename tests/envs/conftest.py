@@ -1,4 +1,4 @@
-"""A net written by hand, vehicles placed on it, and environments that are closed after the test."""
+"""Vehicles placed on the hand-written net, and environments that are closed after the test."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -7,18 +7,12 @@ from typing import Any
 import pytest
 
 from izoo.envs import EcoDrivingEnv, SumoParallelEnv, TwinEnv
-from izoo.networks.road import RoadNet, read_road
+from izoo.networks.road import RoadNet
 from tests.envs.placed import Scene
 from tests.envs.worlds import crossing, short
-from tests.networks.handmade import write_handmade
 
 Make = Callable[..., Any]
 MakeTwin = Callable[..., TwinEnv]
-
-
-@pytest.fixture(scope="module")
-def road(tmp_path_factory: pytest.TempPathFactory) -> RoadNet:
-    return read_road(write_handmade(tmp_path_factory.mktemp("net")))
 
 
 @pytest.fixture

@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 import torch
 from tensordict import TensorDictBase
-from torchrl.envs import EnvBase, check_env_specs
+from torchrl.envs import EnvBase
 
 from izoo.benchmarks.planner import PlannerConfig
 from izoo.envs import EcoDrivingEnv, EnvConfig, TwinEnv
 from izoo.envs.views.gymnasium import EcoDrivingEgo, EcoDrivingJoint
 from izoo.errors import IzooError
-from tests.envs.conftest import Make, MakeTwin
+from tests.envs.conftest import MakeTwin
 from tests.envs.test_determinism import schedule
-from tests.envs.test_env import KINDS
 from tests.envs.worlds import crossing, places, play_on, same
 
 SIMULATORS = ("sumo", "twin")
@@ -170,19 +169,6 @@ def test_each_environment_plays_what_it_plays_alone(surrogate: str, drain_s: flo
                 assert not frame["agents", "decides"].any() and not frame["agents", "mask"].any()
                 assert (frame["agents", "number"] == -1).all()
         assert drain_s == 0.0 or len(set(counts)) > 1
-
-
-PARTS = [("acceleration", ("speed",)), ("speed", ("speed",)), ("speed", ("speed_before", "speed_behind"))]
-
-
-@pytest.mark.parametrize(
-    ("kind", "action", "parts"), [*((kind, *what) for kind in KINDS[::2] for what in PARTS), (KINDS[1], *PARTS[-1])]
-)
-def test_specs(make: Make, kind: Any, action: str, parts: tuple[str, ...]) -> None:
-    for decide in ("step", "vehicle", "vehicle_and_line") if kind == KINDS[0] else ("vehicle",):
-        config = scope(decide, action=action, action_parts=parts, horizon_s=30.0)
-        with contextlib.closing(make(*kind, config=config)) as env:
-            check_env_specs(env)
 
 
 @pytest.mark.parametrize("decide", ["vehicle", "vehicle_and_line"])

@@ -15,6 +15,7 @@ from izoo.errors import IzooError
 from tests.envs.conftest import Make
 from tests.envs.worlds import constant, crossing, defer, digest, play, same, short, steer
 
+PARTS = ("speed_before", "speed_behind")
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},
     "nothing but agents": {"emit": ()},
@@ -28,6 +29,10 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "few slots": {"num_agents": 1, "num_vehicles": 1, "num_approaches": 4},
     "long steps": {"step_s": 1.0},
     "no warm-up": {"warmup_s": 0.0},
+    "speeds": {"action": "speed"},
+    "accelerations per vehicle": {"decide": "vehicle"},
+    "speeds per vehicle": {"decide": "vehicle", "action": "speed", "emit": ("vehicles", "number")},
+    "two speeds per vehicle": {"decide": "vehicle_and_line", "action": "speed", "action_parts": PARTS},
 }
 KINDS = [("sumo", None), ("sumo", 2), ("twin", 2)]
 """A single environment on SUMO, several in processes, several on the twin."""
@@ -47,7 +52,8 @@ def test_specs_of_every_variant(make: Make, kind: Any, variant: str) -> None:
     assert len(set(env.observation_names)) == env.observation_spec["agents", "observation"].shape[-1]
     if env.config.lane_change:
         assert env.full_action_spec["agents", "lane_change"].n == 3
-    assert env.full_action_spec["agents", "action"].space.low.unique().tolist() == [-4.5]
+    low = env.full_action_spec["agents", "action"].space.low.unique().tolist()
+    assert low == pytest.approx([-4.5 if env.config.action == "acceleration" else 0.1])
 
 
 def test_specs_of_both_simulators_are_equal(make: Make) -> None:

@@ -1,7 +1,7 @@
 """Invalid options and calls: refused with a message, and the environment stays as it was."""
 
+import locale
 import os
-import shutil
 import subprocess
 import sys
 import threading
@@ -165,10 +165,9 @@ def run(program: str, **environment: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["a,b", "a${HOME}b", "a;b |&<'\"", "\u4ea4"])
-def test_temporary_and_cache_folders_may_have_any_name(name: str, tmp_path: Path) -> None:
+def test_temporary_and_cache_folders_may_have_any_name(tmp_path: Path) -> None:
     """SUMO itself would take a comma for the end of a path, and replace variables."""
-    folder = tmp_path / name
+    folder = tmp_path / "a,b${HOME};b |&<'\"\u4ea4"
     folder.mkdir()
     program = "import torch; from izoo.envs import EcoDrivingEnv, EnvConfig; from tests.envs.worlds import crossing\n"
     program += "env = EcoDrivingEnv(crossing(), config=EnvConfig(horizon_s=40.0)); print(env.rollout(3).shape[0])"
@@ -177,30 +176,10 @@ def test_temporary_and_cache_folders_may_have_any_name(name: str, tmp_path: Path
     assert {path.name for path in folder.iterdir()} == {"cache"}
 
 
-DECIMAL_COMMA = """
-import locale
-from izoo.envs import EcoDrivingEnv
-from izoo.errors import IzooError
-from tests.envs.worlds import crossing, short
-locale.setlocale(locale.LC_ALL, "de_DE.UTF-8")
-EcoDrivingEnv(crossing(), config=short(), simulator="twin").reset()
-env = EcoDrivingEnv(crossing(), config=short())
-try:
-    env.reset()
-except IzooError as error:
-    print(error)
-locale.setlocale(locale.LC_NUMERIC, "C")
-env.reset()
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(shutil.which("localedef") is None, reason="locales cannot be made here")
-def test_sumo_refuses_a_locale_with_decimal_comma(tmp_path: Path) -> None:
-    """Nets are built, and the twin is played, in any locale."""
-    subprocess.run(["localedef", "-i", "de_DE", "-f", "UTF-8", str(tmp_path / "de_DE.UTF-8")], check=True)
-    done = run(DECIMAL_COMMA, LOCPATH=str(tmp_path), IZOO_CACHE_DIR=str(tmp_path / "cache"))
-    assert done.returncode == 0 and "numbers have a decimal comma" in done.stdout, done.stderr
+def test_sumo_refuses_a_locale_with_decimal_comma(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(locale, "localeconv", lambda: {"decimal_point": ","})
+    with pytest.raises(IzooError, match="numbers have a decimal comma"):
+        make().reset()
 
 
 PARALLEL = """

@@ -11,7 +11,6 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 
 from izoo.contexts.context import Context
-from izoo.contexts.source import ContextList
 from izoo.envs import EcoDrivingEnv, EnvConfig, RewardConfig
 from izoo.envs.config import EMIT_GROUPS
 from izoo.envs.mdp.metric_sums import MOVEMENTS, OF_COHORT, STOPPED_MPS
@@ -31,9 +30,7 @@ def run(context: Context, act: Driver = steer, config: EnvConfig = CONFIG) -> Te
 @pytest.fixture(scope="module", params=["commanded", "uncommanded", "measured"])
 def frames(request: pytest.FixtureRequest) -> TensorDict:
     if request.param == "measured":
-        dataset: ContextList = request.getfixturevalue("dataset")
-        busy = sorted(dataset, key=lambda context: -context.flow_vph_per_lane(context.approach or "A"))
-        return run(busy[10].replace(approach=None, adoption=0.5), defer)
+        return run(request.getfixturevalue("busy")[10].replace(approach=None, adoption=0.5), defer)
     return run(crossing(), defer if request.param == "uncommanded" else steer)
 
 

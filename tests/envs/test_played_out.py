@@ -11,7 +11,6 @@ import torch
 from tensordict import TensorDictBase
 
 from izoo.contexts.context import Context
-from izoo.contexts.source import ContextList
 from izoo.emissions.moves import MovesSurrogate
 from izoo.envs import SIMULATORS, EcoDrivingEnv, EnvConfig, RewardConfig
 from izoo.envs.mdp.blocked_demand import earliest_arrivals
@@ -64,8 +63,8 @@ NETS = {
     "one lane, saturated": lane(inflow_vph_per_lane=900.0, lane_length_m=120.0),
     "two lanes, electric": crossing(engine="electric"),
     "three lanes, uphill": crossing(lane_count=3, grade=0.04, lane_length_m=150.0),
-    "measured, busy": -1,
-    "measured": 20,
+    "measured, busy": 0,
+    "measured": -21,
 }
 
 
@@ -77,9 +76,7 @@ def context(request: pytest.FixtureRequest) -> Context:
     chosen = NETS[request.param]
     if isinstance(chosen, Context):
         return chosen
-    dataset: ContextList = request.getfixturevalue("dataset")
-    by_demand = sorted(dataset, key=lambda each: each.flow_vph_per_lane(each.approach or "A"))
-    return by_demand[chosen].replace(adoption=0.5)
+    return request.getfixturevalue("busy")[chosen].replace(adoption=0.5)
 
 
 class Way(NamedTuple):

@@ -9,7 +9,6 @@ import pytest
 from tensordict import TensorDictBase
 
 from izoo.contexts.context import Context
-from izoo.contexts.source import ContextList
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.networks.clock import GREEN, RED, YELLOW
 from izoo.networks.road import RoadNet
@@ -113,8 +112,7 @@ def test_red_crossings_count_by_the_signal_during_the_step() -> None:
     assert invented > 0
 
 
-def test_measured_intersections(env: EcoDrivingEnv, dataset: ContextList) -> None:
-    busy = sorted(dataset, key=lambda context: -context.flow_vph_per_lane(context.approach or "A"))
+def test_measured_intersections(env: EcoDrivingEnv, busy: list[Context]) -> None:
     for k, context in enumerate(busy[:24:8]):
         counts, baseline = (totals(env, context.replace(approach=None), k, act) for act in (at_random(k), defer))
         assert counts["agent_steps"] > 0 and counts["red_crossings_cv"] == 0, context.name

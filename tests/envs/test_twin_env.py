@@ -1,6 +1,5 @@
 """The twin environment: it emits what SUMO's environments emit, and checks its options."""
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,14 +9,9 @@ from tensordict import TensorDictBase
 from izoo.envs import EcoDrivingEnv, EnvConfig
 from izoo.envs.config import EMIT_GROUPS
 from izoo.envs.twin import backend
-from izoo.envs.twin.net.reader import twin_traffic
-from izoo.envs.twin.runtime.layout import ARRIVED
-from izoo.envs.twin.runtime.simulation import TwinEpisode
 from izoo.errors import IzooError
-from izoo.networks.road import read_road
 from tests.envs.conftest import MakeTwin
 from tests.envs.test_determinism import schedule
-from tests.envs.twin.crossroads import build_crossroads, meeting
 from tests.envs.worlds import Driver, at_random, crossing, defer, one_lane, play, play_on, same, short, steer
 
 
@@ -121,37 +115,6 @@ def test_an_interrupted_environment_needs_a_reset(
     assert same(ours, theirs)
 
 
-@pytest.mark.parametrize("changes", [{}, {"inflow_vph_per_lane": 900.0}, {"lane_count": 3, "adoption": 1.0}])
-def test_vehicle_counts_add_up(make_twin: MakeTwin, changes: dict[str, Any]) -> None:
-    env = make_twin(2, crossing(**changes), config=short(horizon_s=120.0))
-    state = env.reset()
-    while not state["done"].all():
-        state = env.step_lean(steer(state))
-    last = state["metrics", "approach"]
-    reached = sum(last[name] for name in ("dropped", "waiting", "outside", "early", "entered"))
-    assert torch.equal(last["due"], reached) and (last["due"] > 5).any()
-    assert torch.equal(last["entered"], last["crossed"] + last["unfinished"])
-
-
-@pytest.mark.parametrize(("way", "lost"), [("AC", False), ("AB", True)])
-def test_tails_that_do_not_fit_the_tables_are_counted(tmp_path: Path, way: str, lost: bool) -> None:
-    """To the left a way has two lanes inside the junction."""
-    net = build_crossroads(tmp_path, [(100.0, "G" * 12)], length_m=25.0)
-    case = meeting(net, [{"depart": 0.0, "way": way, "length_m": 45.0}])
-    episode = TwinEpisode(case.world.net, twin_traffic(case.traffic, read_road(net), case.world.net))
-    for _ in range(60):
-        episode.step()
-    assert (episode.state.vehicles["status"] == ARRIVED).all() and (episode.state.clock["lost_tails"] > 0) == lost
-
-
-def test_lost_tails_are_reported(make_twin: MakeTwin, caplog: pytest.LogCaptureFixture) -> None:
-    env = make_twin(2)
-    state = env.reset()
-    env.backend._runs[1].driving.state.clock["lost_tails"] = 3
-    play_on(env, env.config.control_steps, steer, state)
-    assert [record.getMessage().count("3 times; there the twin forgot it") for record in caplog.records] == [1]
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -167,12 +130,6 @@ def test_lost_tails_are_reported(make_twin: MakeTwin, caplog: pytest.LogCaptureF
 def test_bad_options_are_refused(make_twin: MakeTwin, options: dict[str, Any], message: str) -> None:
     with pytest.raises(IzooError, match=message):
         make_twin(**options)
-
-
-def test_a_missing_gpu_is_refused(make_twin: MakeTwin, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    with pytest.raises(IzooError, match=r"surrogate=cuda, but PyTorch finds no GPU.*choose surrogate=torch"):
-        make_twin(surrogate="cuda")
 
 
 def test_a_bad_context_raises_when_its_episode_begins(make_twin: MakeTwin) -> None:

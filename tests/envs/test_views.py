@@ -117,19 +117,14 @@ def test_ego(expected: Expected) -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "simulator"), [("joint", "sumo"), ("joint", "twin"), ("ego", "twin"), ("agents", "twin")]
+    ("place", "simulator"),
+    [("gymnasium.EcoDrivingJoint", name) for name in SIMULATORS]
+    + [("gymnasium.EcoDrivingEgo", "twin"), ("pettingzoo.parallel_env", "twin")],
 )
-def test_a_fresh_view_can_be_pickled(make: str, simulator: str) -> None:
+def test_a_fresh_view_can_be_pickled(place: str, simulator: str) -> None:
     """As libraries do to start their workers; the copy plays what the original does."""
-    views = izoo.envs.views
-    if make == "agents":
-        pytest.importorskip("izoo.envs.views.pettingzoo")
-    made: Any = {
-        "joint": lambda: views.gymnasium.EcoDrivingJoint,
-        "ego": lambda: views.gymnasium.EcoDrivingEgo,
-        "agents": lambda: views.pettingzoo.parallel_env,
-    }[make]()
-    env = made(crossing(), short(), simulator=simulator)
+    module, _, name = place.partition(".")
+    env = getattr(pytest.importorskip(f"izoo.envs.views.{module}"), name)(crossing(), short(), simulator=simulator)
     with contextlib.closing(env), contextlib.closing(pickle.loads(pickle.dumps(env))) as other:
         assert str(env.reset(seed=4)) == str(other.reset(seed=4))
         seen = 0

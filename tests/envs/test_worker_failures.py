@@ -220,7 +220,6 @@ def test_workers_end_with_their_parent(ending: str, tmp_path: Path) -> None:
         assert parent.stdout is not None
         pids = {int(word) for word in parent.stdout.readline().split()}
         assert len(pids) == 2
-        segments = shared_segments({*pids, parent.pid} if number is not None else set())
         if number is not None:
             time.sleep(0.3)
             assert all(alive(pid) for pid in pids)
@@ -230,4 +229,4 @@ def test_workers_end_with_their_parent(ending: str, tmp_path: Path) -> None:
         parent.kill()
         parent.communicate()
     assert not wait_until_gone(pids), "workers have outlived their parent"
-    assert not any(path.exists() for path in segments) and list(tmp_path.iterdir()) == []
+    assert list(tmp_path.iterdir()) == []

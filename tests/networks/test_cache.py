@@ -1,8 +1,5 @@
 """The cache of nets: where it lies, and what is removed from it."""
 
-import os
-import time
-
 import pytest
 
 from izoo.contexts.procedural import procedural_intersection
@@ -27,17 +24,3 @@ def test_a_folder_that_cannot_be_made_is_explained(tmp_path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(IzooError, match=r"cannot write to the cache folder .* IZOO_CACHE_DIR"):
         cache.cache_folder(tmp_path / "file")
-
-
-def test_tidy_removes_the_oldest_but_nothing_young(tmp_path):
-    now = time.time()
-    for age in range(6):
-        path = cache.store(tmp_path, f"entry{age}", "<net/>")
-        os.utime(path, (now - 1000.0 * age, now - 1000.0 * age))
-    for name, age_s in ((".work-old", 9000.0), (".work-new", 0.0)):
-        (tmp_path / name).mkdir()
-        os.utime(tmp_path / name, (now - age_s, now - age_s))
-    cache.tidy(tmp_path, max_entries=2, spare_s=2500.0)
-    assert not (tmp_path / ".work-old").exists()
-    (tmp_path / ".work-new").rmdir()
-    assert sorted(path.name for path in tmp_path.iterdir()) == [f"entry{age}.net.xml" for age in range(3)]

@@ -18,7 +18,6 @@ from izoo.errors import IzooError
 from izoo.networks.clock import GREEN, NEVER_S, RED, YELLOW, SignalClock, make_clock
 from izoo.networks.net.build import build_net
 from izoo.networks.road import RoadNet, read_road
-from tests.networks.handmade import write_handmade
 
 
 def plan(duration_s: np.ndarray, colour: np.ndarray, offset_s: float = 0.0) -> SignalClock:
@@ -51,9 +50,9 @@ def driven(clock: SignalClock, time_s: float) -> int:
     return evaluate(clock, time_s - 0.001)[0]
 
 
-@pytest.fixture(scope="module")
-def clock(tmp_path_factory: pytest.TempPathFactory) -> SignalClock:
-    return read_road(write_handmade(tmp_path_factory.mktemp("net"))).clock
+@pytest.fixture
+def clock(road: RoadNet) -> SignalClock:
+    return road.clock
 
 
 def test_green_and_red_per_cycle(clock: SignalClock) -> None:

@@ -134,21 +134,6 @@ def test_replay_plays_and_scrubs(chromium, page: Path) -> None:
     visit.close(page)
 
 
-def test_counters_end_where_the_evaluation_does(chromium, page: Path, evaluation: Path) -> None:
-    visit = Visit(chromium, page, WIDE)
-    sheet = visit.page
-    sheet.wait_for_selector("#replay-app[data-scene]")
-    last = sheet.get_by_label("Time of the episode").get_attribute("max")
-    sheet.get_by_label("Time of the episode").fill(last)
-    scene = sheet.evaluate("report.content.scenes[0]")
-    rows = [line.split(",") for line in (evaluation / "rows.csv").read_text().splitlines() if line]
-    place = {name: rows[0].index(name) for name in ("policy", "context_hash", "seed", "crossed")}
-    wanted = ("glide", scene["context_hash"], scene["seed"])
-    (mine,) = [row for row in rows if tuple(row[place[k]] for k in ("policy", "context_hash", "seed")) == wanted]
-    assert float(sheet.locator("#policy-count").inner_text().split()[0]) == float(mine[place["crossed"]])
-    visit.close(page)
-
-
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A page with every kind of chart, of made results."""

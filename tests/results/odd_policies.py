@@ -24,11 +24,6 @@ def leftwards(tensordict: TensorDictBase) -> TensorDictBase:
     return gentle(tensordict).set(("agents", "lane_change"), torch.full(mask.shape, 2))
 
 
-def lost(tensordict: TensorDictBase) -> TensorDictBase:
-    """Every action is NaN."""
-    return everyone(tensordict, torch.nan)
-
-
 def broken(tensordict: TensorDictBase) -> TensorDictBase:
     """Raises as soon as it is asked."""
     raise ArithmeticError("the driver fell asleep")
@@ -43,20 +38,6 @@ def deadly(tensordict: TensorDictBase) -> TensorDictBase:
     """Kills its process."""
     os.kill(os.getpid(), signal.SIGKILL)
     return tensordict
-
-
-class Stopping:
-    """:func:`gentle`, but the first process that gets to ``at`` steps stops itself, as SIGSTOP does."""
-
-    def __init__(self, path: Path, at: int = 20) -> None:
-        self.path, self.at, self.steps = path, at, 0
-
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        self.steps += 1
-        if self.steps == self.at and not self.path.exists():
-            self.path.touch()
-            os.kill(os.getpid(), signal.SIGSTOP)
-        return gentle(tensordict)
 
 
 def everyone(tensordict: TensorDictBase, accel_mps2: float) -> TensorDictBase:

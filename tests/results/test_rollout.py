@@ -3,26 +3,21 @@
 import dataclasses
 import subprocess
 import sys
-import time
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 from pandas.testing import assert_frame_equal
 
 from izoo.algos.drivers.uncommanded import UncommandedDriver
 from izoo.contexts.context import Context
-from izoo.contexts.procedural import ProceduralSource
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.errors import IzooError
-from izoo.networks.net import build
 from izoo.results import read_table, summarise
 from izoo.results.cache import EpisodeCache, baseline_context
 from izoo.results.playing import EpisodeFailed, Setup
 from izoo.results.store import PolicyRecord, read_contexts, read_manifest
 from tests.conftest import SHORT
-from tests.networks.worlds import with_approaches
 from tests.results import odd_policies as drivers
 from tests.results.conftest import SEEDS, Evaluate
 
@@ -82,17 +77,6 @@ def test_a_script_needs_no_main_guard(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_the_nets_of_sumo_are_built_together(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, evaluate: Evaluate
-) -> None:
-    monkeypatch.setenv("IZOO_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(build, "convert", lambda name, *_: pytest.fail(f"{name} was built alone"))
-    sources = [ProceduralSource({"lane_count": 1, "phase_count": 1, "lane_length_m": m}) for m in (200, 300, 400)]
-    different = [source.sample(np.random.default_rng(0)) for source in sources]
-    played = evaluate("uncommanded", different, [11], baselines=(), cache=tmp_path)
-    assert len(played) == len(list(tmp_path.rglob("*.net.xml"))) == 3
-
-
 @pytest.mark.parametrize("make", [drivers.Tiring, drivers.Remembering, drivers.Drawing, drivers.Numpy, str])
 def test_no_policy_plays_otherwise_for_what_it_played_before(
     make: type, contexts: list[Context], evaluate: Evaluate
@@ -128,17 +112,6 @@ def test_an_identical_policy_saves_exactly_nothing(contexts: list[Context], eval
     assert figures["co2_saved"]["value"] == figures["delay_change_s"]["value"] == 0.0
 
 
-def test_a_context_without_demand_is_left_out_and_said(contexts: list[Context], evaluate: Evaluate) -> None:
-    empty = with_approaches(contexts[0].intersection, "ABCD", aadt_per_lane=0.0)
-    nobody = contexts[0].replace(intersection=dataclasses.replace(empty, name="empty"))
-    table = evaluate("glide", [contexts[0], nobody], [1])
-    assert (table.loc[table["context"] == nobody.name, "cohort"] == 0.0).all()
-    summary = summarise(table)
-    assert summary["n"]["contexts"] == 1 and summary["n"]["left_out"] == [nobody.name]
-    alone = summarise(evaluate("glide", [nobody], [1]))
-    assert "no context has demand" in alone["verdict"]
-
-
 def test_a_drain_that_is_too_short_for_anybody_is_seen(contexts: list[Context], evaluate: Evaluate) -> None:
     config = dataclasses.replace(SHORT, horizon_s=25.0, drain_s=0.5)
     summary = summarise(evaluate("glide", contexts, [1], config=config))
@@ -164,15 +137,6 @@ def test_all_approach_contexts_report_every_approach(contexts: list[Context], ev
     assert rows["approach"].tolist() == list(whole.intersection.approach_names)
     assert (rows["demand"] == "all").all()
     assert (rows["entered"] > 0).all()
-
-
-def test_nan_actions_are_counted_and_driven_by_idm(contexts: list[Context], evaluate: Evaluate) -> None:
-    lost = evaluate(drivers.lost, contexts[:1], SEEDS)
-    chosen, reference = (lost[lost["policy"] == name] for name in ("policy", "uncommanded"))
-    assert (chosen["nan_actions"] == chosen["agent_steps"]).all()
-    assert (chosen["nan_actions"] > 0).any()
-    assert (chosen["emission_g"].to_numpy() == reference["emission_g"].to_numpy()).all()
-    assert summarise(lost)["entries"]["policy"]["levels"]["all"]["nan_share"] == 100.0
 
 
 def test_an_interrupted_evaluation_goes_on_where_it_stopped(
@@ -264,18 +228,3 @@ def test_policies_that_change_lanes_meet_baselines_that_do_as_sumo_has_it(
     for name in ("human", "uncommanded"):
         one, other = (table[table["policy"] == name].reset_index(drop=True) for table in tables)
         assert_frame_equal(one[list(APPROACH_METRICS)], other[list(APPROACH_METRICS)])
-
-
-@pytest.mark.slow
-def test_a_stopped_process_is_replaced_in_the_time_of_the_watchdog(
-    contexts: list[Context], evaluate: Evaluate, tmp_path: Path
-) -> None:
-    """It has ended afterwards, and its episode was played by another."""
-    config = dataclasses.replace(SHORT, watchdog_s=3.0)
-    policy = drivers.Stopping(tmp_path / "stopped")
-    begin = time.monotonic()
-    table = evaluate(policy, contexts[:1], SEEDS, config=config, workers=2)
-    assert (tmp_path / "stopped").exists() and time.monotonic() - begin < 120.0
-    gentle = evaluate(drivers.gentle, contexts[:1], SEEDS, config=config)
-    columns = ["policy", *APPROACH_METRICS]
-    assert_frame_equal(table[columns], gentle[columns])

@@ -59,16 +59,6 @@ def test_an_interrupted_folder_goes_on(table: pd.DataFrame, tmp_path: Path) -> N
     assert read_manifest(tmp_path).complete and len(read_table(tmp_path)) == 2
 
 
-def test_a_table_that_was_cut_short_loses_its_last_episode_only(table: pd.DataFrame, tmp_path: Path) -> None:
-    one, two, *_ = episodes(table)
-    kept(tmp_path, {"policy": A}, [one, [{**two[0], "approach": "A"}, {**two[0], "approach": "B"}]])
-    path = tmp_path / "rows.csv"
-    path.write_text(path.read_text()[:-50])
-    assert len(read_table(tmp_path)) == 1
-    assert kept(tmp_path, {"policy": A}, [two]) == 1
-    assert read_table(tmp_path)["seed"].tolist() == [one[0]["seed"], two[0]["seed"]]
-
-
 def test_other_weights_replace_the_rows_of_their_policy_and_seed_only(table: pd.DataFrame, tmp_path: Path) -> None:
     one, two, *_ = episodes(table)
     seeds: dict[Key, PolicyRecord] = {("policy", 0): A, ("policy", 1): A}
@@ -119,9 +109,3 @@ def test_what_is_no_results_folder_is_one_sentence(table: pd.DataFrame, tmp_path
     (new / "manifest.json").write_text('{"format": "izoo-results-0"}')
     with pytest.raises(IzooError, match="is of another version of izoo"):
         read_table(new)
-
-
-def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
-    first = Store(tmp_path, config=SHORT)
-    with first.open(), pytest.raises(IzooError, match="another process works in"), Store(tmp_path).open():
-        pass

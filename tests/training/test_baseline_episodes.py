@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import signal
 from pathlib import Path
 
 import numpy as np
@@ -115,22 +114,6 @@ def test_they_are_the_same_numbered_episodes_and_kept(tmp_path: Path) -> None:
         again = other._compared["uncommanded"].episodes([10])[10]
     assert kept and {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npz")} == kept, "played once"
     assert np.array_equal(again.sums, played[10].sums) and np.array_equal(again.series[TEAM_REWARD], team)
-
-
-@pytest.mark.slow
-def test_a_lost_process_is_replaced_once_and_none_is_left(tmp_path: Path) -> None:
-    options = config()
-    with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
-        baseline, process = beside._compared["human"], beside._process
-        first = process._running_child()
-        first.process.kill()
-        found = baseline.episodes([4])[4].sums
-        second = process._running_child()
-        assert second is not first and found.max() > 0.0
-        baseline.expect([8])
-    assert second.process.returncode in (1, -signal.SIGKILL), "it ends when the socket is closed, or is killed"
-    with contextlib.closing(BaselineComparison(options, schedule(options), tmp_path)) as beside:
-        assert np.array_equal(beside._compared["human"].episodes([4])[4].sums, found)
 
 
 def test_what_cannot_be_played_is_named(tmp_path: Path) -> None:

@@ -1,12 +1,8 @@
 """How a run ends that cannot go on, and who may train in a folder."""
 
-import contextlib
 import csv
-import os
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +13,7 @@ from izoo import files, train
 from izoo.errors import IzooError
 from izoo.training import checkpoint, loggers, run_folder, run_state
 from izoo.training.learner import Learner, is_finite
-from tests.training.toy import TOY, begun
+from tests.training.toy import TOY
 
 
 def frames_in(run_dir: Path) -> list[int]:
@@ -150,26 +146,3 @@ def test_a_logger_that_fails_is_done_without(capsys: pytest.CaptureFixture[str])
     loggers.close_all(sinks)
     assert sinks == [good] and good.takes == 92
     assert capsys.readouterr().err.count("Logger has failed (Connection lost); the run goes on without it.") == 2
-
-
-@pytest.mark.slow
-def test_a_stopped_process_ends_a_multisync_run_in_the_time_of_the_watchdog(tmp_path: Path) -> None:
-    run_dir = tmp_path / "run"
-    words = [word for word in TOY if not word.startswith(("collector", "total_frames"))]
-    words += ["collector=multisync", "num_workers=2", "total_frames=100000000", "env.watchdog_s=4"]
-    process = begun(run_dir, words, lambda: checkpoint.listed(run_dir))
-    try:
-        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-        collecting = [int(pid) for pid in children if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
-        assert len(collecting) == 2
-        begin = time.monotonic()
-        os.kill(collecting[1], signal.SIGSTOP)
-        _, error = process.communicate(timeout=100)
-        assert process.returncode == 1 and "Traceback" not in error, error
-        assert "raise env.watchdog_s" in error and "resume=" in error and time.monotonic() - begin < 60
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(collecting[1], 0)
-            raise AssertionError("the stopped process is still there")
-    finally:
-        process.kill()
-        process.wait()

@@ -2,15 +2,13 @@
 
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from izoo import train
-from izoo.console import exit_code, graceful_interrupt, workers_ignore_interrupts
+from izoo.console import exit_code, graceful_interrupt
 from izoo.training import checkpoint
 from izoo.training.learner import Learner
 from izoo.training.loggers import MetricsTable
@@ -85,30 +83,3 @@ def test_a_signal_before_the_first_batch_leaves_nothing(
     monkeypatch.setattr(Session, "_learn", press)
     assert train.main([*TOY, f"run_dir={tmp_path / 'run'}"]) == 130
     assert not (tmp_path / "run").exists()
-
-
-def test_an_interrupt_while_workers_start_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
-    with graceful_interrupt() as interrupt:
-        with workers_ignore_interrupts():
-            os.kill(os.getpid(), signal.SIGINT)
-        assert interrupt.requested
-        with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
-    assert "and saving" in capsys.readouterr().err
-
-
-def test_processes_of_multiprocessing_do_not_see_interrupts() -> None:
-    """They start a tracker of their own first, which must not undo the block."""
-    program = (
-        "import multiprocessing, os, signal, time\n"
-        "from izoo.console import workers_ignore_interrupts\n"
-        "if __name__ == '__main__':\n"
-        "    with workers_ignore_interrupts():\n"
-        "        child = multiprocessing.get_context('spawn').Process(target=time.sleep, args=(0.5,))\n"
-        "        child.start()\n"
-        "    os.kill(child.pid, signal.SIGINT)\n"
-        "    child.join()\n"
-        "    print('exit code', child.exitcode)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
-    assert (done.stdout, done.stderr) == ("exit code 0\n", "")

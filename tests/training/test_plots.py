@@ -1,15 +1,12 @@
 """Learning curves: what is drawn of a run and of several, and that labels and legends can be read."""
 
-import itertools
-import warnings
 from pathlib import Path
 
 import pytest
 
 from izoo.metrics.figures import FIGURES
-from izoo.training import plots
 from izoo.training.loggers import MetricsTable
-from izoo.training.plots import COMPARED, CURVES, curves, draw, learning_curve
+from izoo.training.plots import COMPARED, curves, draw
 
 
 def table(path: Path, columns: list[str], frames_per_row: int) -> MetricsTable:
@@ -17,24 +14,6 @@ def table(path: Path, columns: list[str], frames_per_row: int) -> MetricsTable:
     for k in range(1, 41):
         made.append({"frames": k * frames_per_row, **dict.fromkeys(columns, 0.5 + 0.01 * k)})
     return MetricsTable.read(path)
-
-
-@pytest.mark.parametrize("frames_per_row", [50, 3_900, 1_234_567])
-def test_labels_stand_apart(tmp_path: Path, frames_per_row: int) -> None:
-    metrics = table(tmp_path / "m.csv", list(CURVES), frames_per_row)
-    figure = draw(curves({"run": [(metrics, None)]}), "run")
-    figure.canvas.draw()
-    panels = [axes for axes in figure.axes if axes.axison]
-    assert len(panels) == len(CURVES)
-    for axes in panels:
-        low, high = axes.get_xlim()
-        ticks = zip(axes.get_xticks(), axes.get_xticklabels(), strict=True)
-        shown = [label for tick, label in ticks if low <= tick <= high]
-        boxes = [label.get_window_extent() for label in shown]
-        assert len(boxes) > 2
-        assert all(left.x1 + 4 < right.x0 for left, right in itertools.pairwise(boxes)), [s.get_text() for s in shown]
-    learning_curve(metrics, tmp_path / "curve.png", "run")
-    assert (tmp_path / "curve.png").stat().st_size > 10_000
 
 
 def test_validations_come_first_with_their_intervals(tmp_path: Path) -> None:
@@ -86,15 +65,3 @@ def test_running_means_are_over_a_fifth_of_the_values(tmp_path: Path) -> None:
         made.append({"frames": k + 1, "return": float(k)})
     (chart,) = curves({"run": [(made, None)]})
     assert list(chart.series[0].y) == [0.0, *(k - 0.5 for k in range(1, 10))]  # type: ignore[arg-type]
-
-
-def test_long_names_of_choices_leave_room_for_the_panels(tmp_path: Path) -> None:
-    made = table(tmp_path / "m.csv", ["return", "emission_g_per_vehicle"], 50)
-    names = [f"a{'x' * 300}1", f"a{'x' * 300}2", "short"]
-    figure = draw(curves({plots._shortened(name): [(made, None)] for name in names}, COMPARED))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", UserWarning)
-        figure.canvas.draw()
-    shown = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert [(name[0], name[-1], len(name)) for name in shown] == [("a", "1", 40), ("a", "2", 40), ("s", "t", 5)]
-    assert all(axes.get_window_extent().width > 0.2 * figure.bbox.width for axes in figure.axes)

@@ -180,24 +180,6 @@ def test_episodes_in_progress_are_lived_through_again(steps: int) -> None:
     second.close()
 
 
-@pytest.mark.slow
-def test_environments_whose_episodes_are_of_different_age_arrive_together() -> None:
-    histories = EpisodeHistories.fresh(2)
-    first = training_class("sumo")(2, contexts=DENSE, config=ENV)
-    batch, root = play(first, first.reset(), 60, torch.Generator().manual_seed(4))
-    histories.add(batch)
-    first.close()
-    young = EpisodeHistories([histories.histories[0], EpisodeHistory(7)])
-    second = training_class("sumo")(2, contexts=DENSE, config=ENV, histories=young.histories)
-    other = second.reset()
-    assert torch.equal(root.get(("agents", "observation"))[0], other.get(("agents", "observation"))[0])
-    assert second._next_episode.tolist() == [2, 9]
-    alone = training_class("sumo")(2, contexts=DENSE, config=ENV, histories=[EpisodeHistory(0), EpisodeHistory(7)])
-    assert torch.equal(alone.reset().get(("agents", "observation"))[1], other.get(("agents", "observation"))[1])
-    second.close()
-    alone.close()
-
-
 @pytest.mark.parametrize("num_workers", [1, 2])
 def test_the_next_episode_follows_the_one_in_progress(num_workers: int) -> None:
     """Of a single environment, or of one worker among several."""
@@ -229,15 +211,6 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run_dir = tmp_path_factory.mktemp("trained") / "run"
     assert train.main([*toy.TOY, "total_frames=50", f"run_dir={run_dir}"]) == 0
     return run_dir
-
-
-@pytest.mark.parametrize("name", [run_folder.CONFIG_FILE, run_folder.METRICS_FILE, "checkpoints/step-000000000050.pt"])
-def test_a_file_that_cannot_be_read_is_one_sentence(name: str, trained: Path, tmp_path: Path, refused: Refused) -> None:
-    run_dir = shutil.copytree(trained, tmp_path / "run")
-    (run_dir / name).write_bytes(bytes(range(256)) * 4)
-    kept = {path: path.read_bytes() for path in run_dir.rglob("*") if path.is_file() and path.suffix != ".yaml"}
-    assert name in refused(train.main, [f"resume={run_dir}", "total_frames=100"], "izoo train: cannot read ")
-    assert {path: path.read_bytes() for path in kept} == kept
 
 
 def test_a_run_that_was_moved_goes_on(trained: Path, tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """What the collector of the training loop yields, whatever acts and whatever stands around the environment."""
 
-import os
-import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -117,17 +115,3 @@ def test_new_weights_are_noticed() -> None:
         action = second[ACTION][second[MASK]]
         assert len(action) > 0 and (action == action[0]).all()
         assert (second[MASK][:, 1:] == second["next"][MASK][:, :-1])[~second["next", "done"][:, :-1, 0]].all()
-
-
-@pytest.mark.slow
-def test_a_worker_lost_in_a_batch() -> None:
-    """Its step is reported as truncated, from and to the same state; the other goes on."""
-    with collecting(policy_of(OPTIONS["ppo"]), workers=2) as collector:
-        next(iter(collector))
-        os.kill(collector.env.backend._workers[1].process.pid, signal.SIGKILL)
-        batch = next(iter(collector))
-        assert batch["next", "truncated"][1, 0].all() and not batch["next", "truncated"][0, 0].any()
-        following = batch["next"]
-        for key in (MASK, ("agents", "observation"), ("agents", "vehicle")):
-            assert torch.equal(following[key][1, 0], batch[key][1, 0])
-        assert batch["context", "episode"][:, 1].flatten().tolist() == [0, 3]

@@ -1,13 +1,11 @@
-"""The option that says which simulator plays: in training, in collected data and in evaluations."""
+"""The options that say which simulator plays, in training and in validation."""
 
 import dataclasses
-import json
 from pathlib import Path
 
 import pytest
 
-from izoo import collect, evaluate, train
-from izoo.results import read_table
+from izoo import train
 from izoo.results.cache import EpisodeCache, baseline_context
 from izoo.results.playing import Setup
 from izoo.results.rollout import evaluated
@@ -39,20 +37,3 @@ def test_a_run_on_the_twin_says_so_and_validates_where_it_is_told(
             for simulator in ("sumo", "twin")
         ]
         assert played == [False, True]
-
-
-def test_data_from_the_twin(tmp_path: Path) -> None:
-    out = tmp_path / "data"
-    assert collect.main([*EASY, "simulator=twin", "num_envs=4", "frames=400", "env.emit=[context]", f"out={out}"]) == 0
-    assert json.loads((out / "manifest.json").read_text())["simulator"] == "twin"
-    steps = collect.load(out)
-    assert len(steps) >= 400 and steps["context", "episode"].unique().tolist()[:4] == [0, 1, 2, 3]
-
-
-@pytest.mark.slow
-def test_an_evaluation_says_which_simulator_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = [*EASY, "policy=glide", "seeds=1", "num_contexts=1", "num_workers=0", f"cache={tmp_path / 'cache'}"]
-    for simulator in ("sumo", "twin"):
-        assert evaluate.main([*words, f"simulator={simulator}", f"out={tmp_path / 'out'}"]) == 0
-    assert "Evaluating glide on the twin" in capsys.readouterr().out
-    assert read_table(tmp_path / "out").groupby("simulator").size().to_dict() == {"sumo": 3, "twin": 3}

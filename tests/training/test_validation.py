@@ -106,17 +106,6 @@ def test_a_checkpoint_is_evaluated_by_its_name(run_dir: Path, tmp_path: Path) ->
         checkpoint.find(run_dir / "config.yaml")
 
 
-def test_only_the_newest_of_the_waiting_is_validated(tmp_path: Path) -> None:
-    validator = Validator(TrainConfig(), tmp_path)
-    for frames in (100, 200, 300):
-        validator.submit(checkpoint.save(tmp_path, frames, {"algorithm": {}}, keep=1))
-    validator.close()
-    assert [checkpoint.frames_of(path) for path in checkpoint.candidates(tmp_path)] == [100, 300]
-    Validator(TrainConfig(), tmp_path, frames=250)
-    left = [checkpoint.frames_of(path) for path in checkpoint.candidates(tmp_path)]
-    assert left == [100], "a resumed run repeats what was cut off, but not of frames that it has yet to train"
-
-
 def test_a_run_that_is_resumed_further_back_forgets_a_later_best(tmp_path: Path) -> None:
     for frames, kept in ((200, True), (300, False)):
         checkpoint.make_best(checkpoint.make_candidate(checkpoint.save(tmp_path, frames, {"algorithm": {}}, keep=1)))

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import re
 import shlex
 from pathlib import Path
 
@@ -58,14 +59,6 @@ def test_a_policy_comes_back_with_what_it_is_played_with(written: Path) -> None:
     assert restored.keys() == original.keys()
     assert all(torch.equal(restored[name], original[name]) for name in original)
     assert not found.policy.training
-
-
-def test_one_changed_byte_is_noticed(written: Path) -> None:
-    content = bytearray(written.read_bytes())
-    content[len(content) // 2] ^= 1
-    written.write_bytes(content)
-    with pytest.raises(IzooError, match=r"calm\.pt: .*damaged"):
-        zoo.read(written)
 
 
 def test_a_file_cannot_name_code(written: Path, here: Path, refused: Refused) -> None:
@@ -203,19 +196,6 @@ def test_an_exported_policy_collects(run: Path, exported: Path, tmp_path: Path) 
     assert collect.main([f"policy={newest}", *words, f"out={tmp_path / 'checkpoint'}"]) == 0
 
 
-def test_other_files_are_refused_in_a_sentence(tmp_path: Path, refused: Refused) -> None:
-    torch.save({"weights": torch.zeros(3)}, tmp_path / "foreign.pt")
-    (tmp_path / "text.pt").write_text("policy")
-    files = {
-        tmp_path / "foreign.pt": "foreign.pt: it is not a policy of format",
-        tmp_path / "text.pt": "text.pt: ",
-        tmp_path / "nowhere.pt": "nowhere.pt; give one that python -m izoo.zoo export wrote",
-    }
-    for path, said in files.items():
-        refused(evaluate.main, [f"policy={path}", "contexts=pcg", f"out={tmp_path / 'out'}"], said)
-        assert not (tmp_path / "out").exists()
-
-
 HELD = {"busy_lane_arrive": 103.8793, "busy_lane_imitation": 105.3357, "busy_lane_search": 103.3743}
 HELD |= {"measured_search": 102.5594}
 """CO2 of all vehicles that crossed, g per vehicle, in one episode of 1,000 s."""
@@ -253,13 +233,15 @@ def test_shipped_policies_burn_less_than_uncommanded_cvs() -> None:
         ({"format": "izoo-policy-1"}, "cannot read .*options"),
         ({"format": "izoo-policy-1", "options": {"algo": {"name": "pqo"}}}, "hold a policy of algo=pqo"),
         ({"format": "izoo-policy-1", "options": {"algo": {"name": "ppo"}}}, "cannot read .*action"),
+        (None, r"other\.pt; give one that python -m izoo\.zoo export wrote"),
     ],
 )
-def test_other_files_are_refused(state: object, message: str, tmp_path: Path) -> None:
+def test_other_files_are_refused(state: object, message: str, tmp_path: Path, refused: Refused) -> None:
     path = tmp_path / "other.pt"
-    torch.save(state, path)
-    with pytest.raises(IzooError, match=message):
-        zoo.read(path)
+    if state is not None:
+        torch.save(state, path)
+    assert re.search(message, refused(evaluate.main, [f"policy={path}", "contexts=pcg", f"out={tmp_path / 'out'}"]))
+    assert not (tmp_path / "out").exists()
 
 
 def test_nothing_in_a_file_is_run(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from izoo.benchmarks.fidelity.single_vehicle import Case
@@ -12,7 +11,7 @@ from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
 from izoo.traffic.sampling import sample_traffic
-from tests.envs.twin.crossroads import assert_same, build_crossroads
+from tests.envs.twin.crossroads import assert_same
 from tests.envs.worlds import crossing
 
 LANE = '<lane id="A2TL_0"'
@@ -39,20 +38,6 @@ def test_unsupported_features_are_refused(tmp_path: Path, name: str) -> None:
     assert count == 1
     with pytest.raises(IzooError, match=rf"net\.net\.xml: .*{message}.*\. Use simulator=sumo\.$"):
         read(_written(tmp_path, text))
-
-
-@pytest.mark.parametrize(
-    ("lanes", "phases", "message"),
-    [
-        (13, 2, "a route passes 13 links whose priorities differ, in 2 patterns, and the twin holds 12 and 64"),
-        (7, 300, r"a route passes 7 links whose priorities differ, in \d+ patterns, and the twin holds 12 and 64"),
-    ],
-)
-def test_signals_with_too_many_patterns_are_refused(tmp_path: Path, lanes: int, phases: int, message: str) -> None:
-    rng = np.random.default_rng(0)
-    path = build_crossroads(tmp_path, [(5.0, "".join(rng.choice(["G", "g"], 300))) for _ in range(phases)], lanes)
-    with pytest.raises(IzooError, match=rf"net\.net\.xml: {message}"):
-        read(path)
 
 
 def test_the_last_program_of_a_signal_is_played(tmp_path: Path) -> None:
