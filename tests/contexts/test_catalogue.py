@@ -122,14 +122,6 @@ def test_published_weather():
             Scenarios(city="atlanta", season=season, weather="published")
 
 
-def test_shares_may_be_numbers_of_any_kind_and_nothing_else():
-    for share in (1, np.int64(1), np.float32(1.0), [np.int64(1), 1.0]):
-        assert Scenarios(city="atlanta", adoption=share)[0].adoption == 1.0
-    for share in ("0.5", ["x"], [None]):
-        with pytest.raises(IzooError, match=r"adoption is .*; it must be a number"):
-            Scenarios(city="atlanta", adoption=share)
-
-
 def test_sampling_and_pickling():
     chosen = Scenarios(city="boston", split="test", approaches="one")
     copy = pickle.loads(pickle.dumps(chosen))

@@ -97,14 +97,6 @@ def test_a_cycle_ends_when_it_ends(step_s: float) -> None:
         assert evaluate(clock, step * step_s)[0] == expected, step
 
 
-@pytest.mark.parametrize(("colour", "green_s"), [(RED, 0.0), (GREEN, 50.0)])
-def test_a_movement_of_one_colour_never_changes(colour: int, green_s: float) -> None:
-    clock = plan(np.array([20.0, 30.0]), np.full((1, 1, 2), colour, np.int8))
-    for time_s in (0.0, 12.0, 19.5, 33.0, 80.0):
-        assert evaluate(clock, time_s)[1][:, 0, 0].tolist() == [colour, NEVER_S, NEVER_S, NEVER_S]
-    assert clock.green_s[0, 0] == green_s
-
-
 def test_against_brute_force() -> None:
     """Random plans, read off a timeline of half seconds."""
     generator = np.random.default_rng(3)

@@ -9,10 +9,8 @@ from izoo.contexts.spec import Approach, IntersectionSpec, Leg, SignalPhase, Sig
 from izoo.errors import IzooError
 from izoo.networks.dataset.intersections import load_intersection
 from izoo.networks.draw.intersection import (
-    NEVER_GREEN,
     draw_features,
     draw_intersection,
-    group_colours,
     layout_of,
     played_features,
 )
@@ -68,13 +66,6 @@ def test_a_net_without_lanes_inside_its_junction_is_drawn_too(tmp_path: Path) ->
     folder = write(tmp_path / "1", pocket_net(1, "rsl", 1), "100\n0\n0\n0\n")
     layout = layout_of(read_road(folder / "net.net.xml"), load_intersection(folder))
     assert [(each.origin, each.exit) for each in layout.movements] == [("A", "D"), ("A", "C"), ("A", "B")]
-
-
-def test_movements_that_are_green_together_share_a_colour() -> None:
-    pairs = [("A", "C"), ("C", "A"), ("B", "C"), ("C", "C")]
-    colours = group_colours(PLAN, pairs)
-    assert colours["A", "C"] == colours["C", "A"] != colours["B", "C"]
-    assert colours["C", "C"] == NEVER_GREEN
 
 
 def test_played_features() -> None:

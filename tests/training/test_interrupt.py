@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 
 from izoo import train
-from izoo.console import exit_code, graceful_interrupt
 from izoo.training import checkpoint
 from izoo.training.learner import Learner
 from izoo.training.loggers import MetricsTable
@@ -37,21 +36,6 @@ def test_sigterm_saves_the_run(collector: str, tmp_path: Path) -> None:
     learned = int(MetricsTable.read(run_dir / METRICS_FILE).rows[-1]["frames"])
     assert checkpoint.load(checkpoint.find(run_dir))["frames"] == learned
     assert train.main([f"resume={run_dir}", f"total_frames={learned + 50}"]) == 0
-
-
-def test_a_second_ctrl_c_that_compiled_code_turns_into_an_error_is_still_ctrl_c() -> None:
-    def work() -> int:
-        with graceful_interrupt():
-            os.kill(os.getpid(), signal.SIGINT)
-            try:
-                os.kill(os.getpid(), signal.SIGINT)
-            except KeyboardInterrupt as error:
-                raise SystemError("returned a result with an exception set") from error
-        return 0
-
-    assert exit_code("train", work) == 130
-    with pytest.raises(SystemError), graceful_interrupt():  # without Ctrl-C it is a defect
-        raise SystemError("returned a result with an exception set")
 
 
 def test_a_signal_in_the_last_batch_is_not_swallowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
