@@ -164,7 +164,7 @@ def built(folder: Path, change: Callable[[str], str]) -> RoadNet:
     return read_road(path)
 
 
-@pytest.mark.parametrize(("green_s", "cycle_s", "switches"), [("26.27", 58.27, 10), ("25.99951", 58.0, 0)])
+@pytest.mark.parametrize(("green_s", "cycle_s", "switches"), [("26.27", 58.54, 10), ("25.99951", 58.0, 0)])
 def test_phases_begin_as_in_sumo(green_s: str, cycle_s: float, switches: int, tmp_path: Path) -> None:
     """Between two steps, where vehicles drive by what SUMO shows after the step; times are whole milliseconds."""
     road = built(tmp_path, lambda program: re.sub(r'duration="26(\.0+)?"', f'duration="{green_s}"', program))
