@@ -12,6 +12,7 @@ from izoo.contexts.procedural import ProceduralSource
 from izoo.contexts.source import ContextList
 from izoo.envs.config import EnvConfig
 from izoo.networks.dataset.intersections import load_dataset
+from izoo.networks.net import netconvert
 from izoo.networks.net.net_cache import CACHE_ENV
 from izoo.networks.road import RoadNet, read_road
 from tests.networks.handmade import write_handmade
@@ -95,6 +96,15 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv(CACHE_ENV, str(folder))
         patch.setenv("XDG_DATA_HOME", str(folder / "data"))
         yield
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names for which netconvert is called in this process."""
+    made: list[str] = []
+    run = netconvert._run
+    monkeypatch.setattr(netconvert, "_run", lambda name, *rest: made.append(name) or run(name, *rest))
+    return made
 
 
 @pytest.fixture

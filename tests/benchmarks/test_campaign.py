@@ -224,20 +224,3 @@ def test_costs_are_those_that_were_recorded(tmp_path: Path) -> None:
             MetricsTable(run / "metrics.csv", 40 * k - 1).append(row)
     hours = f"{36 * TrainConfig().env.horizon_s / 3600:.0f}"
     assert [row.cells for row in costs(tmp_path).rows] == [("1", "14", hours, "1.00"), ("1", "14", hours, "-")]
-
-
-def test_curves_of_three_factors_stand_beside_another_entry(tmp_path: Path) -> None:
-    names = ["ppo-near-wet", "ppo-far-dry", "td3-near-wet", "other"]
-    for name in names:
-        run = tmp_path / "train" / name / "seed0"
-        run.mkdir(parents=True)
-        MetricsTable(run / "metrics.csv").append({"frames": 40, "decisions": 7})
-        MetricsTable(run / "validation.csv").append({"frames": 40, "co2_saved": 1.0, "delay_change_s": 0.0})
-    factors = {"algo": ["ppo", "td3"], "from": ["near", "far"], "on": ["wet", "dry"]}
-    grid = {factor: dict.fromkeys(values) for factor, values in factors.items()}
-    charts = {chart.name: chart.series for chart in draw_curves(tmp_path, grid)}
-    assert list(charts) == ["co2_saved-wet", "delay_change_s-wet", "co2_saved-dry", "delay_change_s-dry"]
-    assert [one.name for one in charts["co2_saved-wet"]] == ["other", "ppo-near", "td3-near"]
-    assert [one.name for one in charts["co2_saved-dry"]] == ["other", "ppo-far"]
-    assert len({one.colour for one in charts["co2_saved-wet"]}) == 3
-    assert [one.dash for one in charts["co2_saved-dry"]] == ["-", "--"]

@@ -15,7 +15,7 @@ from izoo.errors import IzooError
 from tests.envs.conftest import Make
 from tests.envs.worlds import constant, crossing, defer, digest, play, same, short, steer
 
-PARTS = ("speed_before", "speed_behind")
+PARTS, NUMBER = ("speed_before", "speed_behind"), {"emit": ("vehicles", "number")}
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},
     "nothing but agents": {"emit": ()},
@@ -30,9 +30,9 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "long steps": {"step_s": 1.0},
     "no warm-up": {"warmup_s": 0.0},
     "speeds": {"action": "speed"},
-    "accelerations per vehicle": {"decide": "vehicle"},
-    "speeds per vehicle": {"decide": "vehicle", "action": "speed", "emit": ("vehicles", "number")},
-    "two speeds per vehicle": {"decide": "vehicle_and_line", "action": "speed", "action_parts": PARTS},
+    "accelerations per vehicle": {"decide": "vehicle", **NUMBER},
+    "speeds per vehicle": {"decide": "vehicle", "action": "speed", **NUMBER},
+    "two speeds per vehicle": {"decide": "vehicle_and_line", "action": "speed", "action_parts": PARTS, **NUMBER},
 }
 KINDS = [("sumo", None), ("sumo", 2), ("twin", 2)]
 """A single environment on SUMO, several in processes, several on the twin."""

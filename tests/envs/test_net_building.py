@@ -8,7 +8,6 @@ from izoo.contexts.source import RoundRobinSchedule
 from izoo.envs import SIMULATORS
 from izoo.errors import IzooError
 from izoo.files import CACHE_ENV
-from izoo.networks.net import netconvert
 from tests.envs.conftest import Make
 from tests.envs.worlds import crossing, short
 
@@ -16,20 +15,11 @@ GOOD = [crossing(lane_length_m=150.0 + number) for number in range(5)]
 BAD = crossing(lane_length_m=30.0, lane_count=4, phase_count=2)
 
 
-@pytest.fixture(autouse=True)
-def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What netconvert is called for, in this process and with an empty cache."""
-    monkeypatch.setenv(CACHE_ENV, str(tmp_path))
-    made: list[str] = []
-    run = netconvert._run
-    monkeypatch.setattr(netconvert, "_run", lambda name, *rest: made.append(name) or run(name, *rest))
-    return made
-
-
 @pytest.mark.parametrize("simulator", SIMULATORS)
 def test_nets_are_built_in_one_call_and_a_bad_one_raises_when_it_is_played(
-    make: Make, calls: list[str], simulator: str
+    make: Make, calls: list[str], simulator: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv(CACHE_ENV, str(tmp_path))
     env = make(simulator, 2, RoundRobinSchedule([*GOOD[:2], BAD, *GOOD[2:]]), config=short())
     env.reset()
     assert calls[0] == "1 of 2"

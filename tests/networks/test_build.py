@@ -1,4 +1,4 @@
-"""Nets built by ``netconvert`` and driven through by SUMO."""
+"""Nets built by ``netconvert`` and driven through by SUMO, and where they are kept."""
 
 import dataclasses
 import math
@@ -14,6 +14,7 @@ from izoo.errors import IzooError
 from izoo.networks.net import netconvert
 from izoo.networks.net.build import build_net, net_key
 from izoo.networks.net.connections import signal_links
+from izoo.networks.net.net_cache import cache_folder
 from izoo.networks.road import read_road
 from tests.networks.worlds import CROSS, drive_everywhere, intersection, saved_states
 
@@ -153,3 +154,21 @@ def test_messages_of_netconvert_reach_the_user(cache, monkeypatch):
     monkeypatch.setitem(netconvert._OPTIONS, "no-such-option", "1")
     with pytest.raises(IzooError, match="no-such-option"):
         build_net(procedural_intersection(lane_length_m=333.0), cache)
+
+
+def test_nothing_is_written_outside_the_cache(tmp_path, monkeypatch):
+    home, here = tmp_path / "home", tmp_path / "here"
+    home.mkdir()
+    here.mkdir()
+    for name in ("HOME", "XDG_CACHE_HOME", "TMPDIR"):
+        monkeypatch.setenv(name, str(home))
+    monkeypatch.chdir(here)
+    build_net(procedural_intersection(), tmp_path / "cache")
+    assert list(home.iterdir()) == list(here.iterdir()) == []
+    assert [path.suffixes for path in (tmp_path / "cache" / "nets").iterdir()] == [[".net", ".xml"]]
+
+
+def test_a_folder_that_cannot_be_made_is_explained(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(IzooError, match=r"cannot write to the cache folder .* IZOO_CACHE_DIR"):
+        cache_folder(tmp_path / "file")

@@ -10,7 +10,7 @@ from izoo.contexts.procedural import procedural_intersection
 from izoo.contexts.spec import IntersectionSpec
 from izoo.cores import usable_cores
 from izoo.errors import IzooError
-from izoo.networks.net import build, netconvert
+from izoo.networks.net import build
 from izoo.networks.net.build import build_net, build_nets
 from izoo.networks.net.plain import PlainNet
 from tests.networks.worlds import CROSS, intersection
@@ -41,15 +41,6 @@ def city(name: str) -> list[IntersectionSpec]:
 def contents(folder: Path) -> dict[str, bytes]:
     """All files of a cache."""
     return {path.name: path.read_bytes() for path in (folder / "nets").iterdir()}
-
-
-@pytest.fixture
-def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Names for which netconvert was called."""
-    made: list[str] = []
-    run = netconvert._run
-    monkeypatch.setattr(netconvert, "_run", lambda name, *rest: made.append(name) or run(name, *rest))
-    return made
 
 
 @pytest.mark.parametrize("towns", [(), pytest.param(("salt_lake_city", "atlanta"), marks=pytest.mark.slow)])

@@ -71,22 +71,6 @@ def test_recorded_rewards_are_those_of_each_episode_and_kept(tmp_path: Path) -> 
         np.testing.assert_array_equal(one.series["team_reward"], third.series["team_reward"])
 
 
-def test_plays_without_end_are_taken_block_by_block(tmp_path: Path) -> None:
-    taken = []
-
-    def endless():
-        for seed in range(10**9):
-            taken.append(seed)
-            yield Play("human", 0, CONTEXTS[0], seed)
-
-    stream = rollout.rollout(
-        endless(), {}, SHORT, simulator="twin", executor="batch", cache=tmp_path, progress=False, side_by_side=2
-    )
-    found = [next(stream) for _ in range(3)]
-    stream.close()
-    assert [played.play.seed for played in found] == [0, 1, 2] and len(taken) <= 6
-
-
 def test_a_policy_is_bound_to_the_environments_that_it_drives(tmp_path: Path) -> None:
     table = evaluated("batch", tmp_path, Bound())
     assert (table.loc[table["policy"] == "driver", "agent_steps"] > 0).any()
