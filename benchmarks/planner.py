@@ -1,9 +1,8 @@
 """How much is there to gain? A planner that knows the future looks for advice by trial, on branches of the twin.
 
-``python -m izoo.benchmarks.planner contexts=...`` plays every context with human drivers, uncommanded CVs, ``cap_0.6``,
-glide and the planner, on the twin. The planner could not drive anywhere else: before it advises a CV, it plays what
-would follow from each advice, with the very vehicles that will come. What it finds is a lower bound of what could be
-gained, since it changes the advice of one CV at a time.
+It could not drive anywhere else: before it advises a CV, it plays what would follow from each advice, with the very
+vehicles that will come. What it finds is a lower bound of what could be gained, since it changes the advice of one CV
+at a time. A campaign plays it as an entry (:class:`izoo.benchmarks.campaign.experiment.Entry`).
 """
 
 from __future__ import annotations
@@ -12,23 +11,19 @@ import dataclasses
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-from izoo.cli.option_command import GOES_ON, OptionCommand
-from izoo.conf.built_in import CityContexts
-from izoo.conf.context_choices import ContextsConfig
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from izoo.algos.actions.action_wrappers import SpeedCap
+from izoo.envs import RewardConfig, TwinEnv
 from izoo.envs.config import ACTION_LOW_MPS2, EnvConfig
+from izoo.envs.mdp.frame import observation_names
 from izoo.errors import CheckedOptions, IzooError, check_range
-from izoo.files import make_absolute
+from izoo.results.rollout import evaluated
 
-if TYPE_CHECKING:
-    import pandas as pd
-    from tensordict import TensorDictBase
-
-    from izoo.envs import TwinEnv
-
-PLANNER, BESIDE = "planner", ("human", "uncommanded", "cap_0.6", "glide")
+PLANNER = "planner"
 AT_ONCE = 16
 """Intersections that are played side by side."""
 SAY_EVERY = 50
@@ -45,51 +40,31 @@ class PlannerConfig(CheckedOptions):
     """Options of the planner.
 
     Attributes:
-        contexts: which contexts to play; every one is played at every adoption below.
         env: the environment; its reward and ``env.hold_s`` are the planner's own.
-        num_contexts: how many contexts to draw; null: all of a finite set, and 16 of one without end.
-        adoptions: shares of CVs.
         caps: advice that is tried for a CV, each a speed limit lower by that share; doing nothing is tried in any case.
         look_ahead_s: how far a trial goes.
         every_s: time between two trials; each is about one CV per intersection.
         brake_mps2: advice brakes no harder than this.
-        seeds: episodes per context.
-        seed: base of the episode seeds and of the drawn contexts.
-        threads: of the twin; null: one per core.
-        out: folder of the results, which an interrupted comparison goes on in; null: nothing is kept.
-        verbose: print all figures of every driver.
     """
 
-    contexts: ContextsConfig = field(default_factory=CityContexts)
     env: EnvConfig = field(default_factory=EnvConfig)
-    num_contexts: int | None = None
-    adoptions: tuple[float, ...] = (1 / 3, 1.0)
     caps: tuple[float, ...] = (0.2, 0.4, 0.55, 0.7, 0.8)
     look_ahead_s: float = 90.0
     every_s: float = 4.0
     brake_mps2: float = 1.5
-    seeds: int = 1
-    seed: int = 0
-    threads: int | None = None
-    out: str | None = None
-    verbose: bool = False
-
-    ranges = (("num_contexts", 1, 10**7), ("seeds", 1, 10**6), ("seed", 0, 2**31 - 1), ("threads", 1, 1024))
+    ranges = (("brake_mps2", 0.1, -ACTION_LOW_MPS2, "m/s^2"),)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("adoptions", "caps"):
-            for share in getattr(self, name):
-                check_range(name, share, 1e-3, 1.0)
-        if not (self.adoptions and self.caps):
-            raise IzooError("adoptions and caps each need one entry or more.")
+        for share in self.caps:
+            check_range("caps", share, 1e-3, 1.0)
+        if not self.caps:
+            raise IzooError("caps needs one entry or more.")
         self.env.require_accelerations("the planner")
         check_range("every_s", self.every_s, self.env.step_s, 60.0, "s")
         if abs(self.every_s / self.env.step_s - round(self.every_s / self.env.step_s)) > 1e-6:
             raise IzooError(f"every_s is {self.every_s:g}; give a whole multiple of env.step_s={self.env.step_s:g}.")
         check_range("look_ahead_s", self.look_ahead_s, self.every_s, 3600.0, "s")
-        check_range("brake_mps2", self.brake_mps2, 0.1, -ACTION_LOW_MPS2, "m/s^2")
-        make_absolute(self, "out")
 
     @property
     def source(self) -> str:
@@ -98,55 +73,8 @@ class PlannerConfig(CheckedOptions):
         return f"planner {own}"
 
 
-def run(config: PlannerConfig) -> pd.DataFrame:
-    """Play what the folder ``out`` does not hold yet, print what was found, and return all rows.
-
-    Raises:
-        IzooError: ``out`` holds other results.
-    """
-    print("Loading torch; the twin compiles where it has not yet.", flush=True)
-    from izoo.cores import usable_cores
-    from izoo.files import write_json
-    from izoo.metrics.pairing import UNCOMMANDED
-    from izoo.metrics.summary import summarise
-    from izoo.report.tables import SAVED, details, figure_cell, headline
-    from izoo.results.rollout import play_policy
-    from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts
-    from izoo.results.store import Store
-
-    contexts = choose_contexts(config.contexts.build(), config.num_contexts, config.seed)
-    seeds = EpisodeSeeds(EVALUATION_STREAM + config.seed, config.seeds)
-    env, folder = settings(config), None if config.out is None else Path(config.out)
-    tasks = {adoption: f"{100 * adoption:.0f} % CVs" for adoption in config.adoptions}
-    store = Store(folder, task=next(iter(tasks.values())), config=env)
-    with store.open():
-        for adoption, task in tasks.items():
-            here = [context.replace(adoption=adoption) for context in contexts]
-            store.keep_contexts(here)
-            episodes = [(context, seed) for context in here for seed in seeds.of(context)]
-            options: dict[str, Any] = {"task": task, "workers": config.threads or usable_cores()}
-            for name in BESIDE:
-                play_policy(store, name, episodes, env, "twin", **options)
-            options |= {"name": PLANNER, "record": ("team_reward",), "side_by_side": AT_ONCE}
-            play_policy(store, Planning(config), episodes, env, "twin", known={"source": config.source}, **options)
-    table = store.table
-    found = {task: summarise(table[table["task"] == task]) for task in tasks.values()}
-    if folder is not None:
-        write_json(folder / "summary.json", list(found.values()))
-    for summary in found.values():
-        for shown in [headline(summary), *(details(summary) if config.verbose else ())]:
-            shown.show()
-    gains = {task: figure_cell(of["entries"][PLANNER], SAVED, UNCOMMANDED, of["block"]) for task, of in found.items()}
-    said = ", ".join(f"{gain} with {task}" for task, gain in gains.items())
-    print(f"The planner saves {said}; it tries one CV at a time, so more may be there to gain.")
-    return table
-
-
 def settings(config: PlannerConfig) -> EnvConfig:
     """Return the environment: decisions as long as between two trials, rewarded as a team, episodes played out."""
-    from izoo.envs import RewardConfig
-    from izoo.results.rollout import evaluated
-
     reward = dataclasses.replace(RewardConfig.fuel_team(), speed=WAY_G_PER_M * config.env.step_s)
     return evaluated(dataclasses.replace(config.env, hold_s=config.every_s, reward=reward, emit=("team_reward",)))
 
@@ -173,11 +101,6 @@ class Planner:
     """
 
     def __init__(self, world: TwinEnv, config: PlannerConfig) -> None:
-        import torch
-
-        from izoo.algos.actions.action_wrappers import SpeedCap
-        from izoo.envs.mdp.frame import observation_names
-
         self.world, self.config = world, config
         self.cap = SpeedCap(world.config, config.brake_mps2)
         self.approaching = observation_names(world.config).index("location_approaching")
@@ -189,8 +112,6 @@ class Planner:
 
     def act(self, state: TensorDictBase) -> TensorDictBase:
         """Look for better advice for one CV of each environment, and write all commands."""
-        import torch
-
         self._forget(self.advice, state)
         mask = state.get(("agents", "mask"))
         self.asked[~mask] = -1.0
@@ -211,10 +132,8 @@ class Planner:
             print(f"{PLANNER}: {self.decisions} decisions in each episode", file=sys.stderr, flush=True)
         return self._command(state, self.advice)
 
-    def _tried(self, slot: Any, tried: Any) -> Any:
+    def _tried(self, slot: Tensor, tried: Tensor) -> Tensor:
         """Return the team's rewards of what follows from advising ``tried [N, K]`` in the slots ``[N]``, ``[N, K]``."""
-        import torch
-
         count = tried.shape[1]
         self.world.branch_into(self.branches)
         advice = self.advice.repeat_interleave(count, 0)
@@ -229,30 +148,13 @@ class Planner:
             now = following.exclude(("agents", "reward"))
         return worth.view(-1, count)
 
-    def _forget(self, advice: Any, state: TensorDictBase) -> None:
+    def _forget(self, advice: Tensor, state: TensorDictBase) -> None:
         """Forget the advice of vehicles that have crossed the stop line, and of empty slots."""
         here = state.get(("agents", "mask")) & (state.get(("agents", "observation"))[..., self.approaching] > 0.5)
         advice[~here] = 0.0
 
-    def _command(self, state: TensorDictBase, advice: Any) -> TensorDictBase:
+    def _command(self, state: TensorDictBase, advice: Tensor) -> TensorDictBase:
         seen = self.cap.look(state.get(("agents", "observation")), state.get(("agents", "mask")))
         accel, defer = self.cap.command(seen, advice)
         state.set(("agents", "action"), accel.unsqueeze(-1))
         return state.set(("agents", "defer"), defer)
-
-
-COMMAND = OptionCommand(
-    name="benchmarks.planner",
-    summary="Search, with knowledge of the future, for advice that saves CO2: how much is there to gain?",
-    examples=(
-        "izoo.benchmarks.planner contexts=city contexts.split=validation num_contexts=8",
-        "izoo.benchmarks.planner contexts=pcg contexts.lane_count=1 num_contexts=8 adoptions=[1.0] out=planner",
-    ),
-    config="izoo.benchmarks.planner:PlannerConfig",
-    work="izoo.benchmarks.planner:run",
-    stopped=f"with out=FOLDER {GOES_ON}",
-)
-main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -167,7 +167,7 @@ def play_all(
     """
     import pandas as pd
 
-    from izoo.results.rollout import play_policy
+    from izoo.results.rollout import Play, play_missing
     from izoo.results.schema import EPISODE
     from izoo.results.store import Store
 
@@ -180,8 +180,10 @@ def play_all(
         store.keep_contexts(contexts)
         for simulator, policy in itertools.product(("sumo",) if late else ("sumo", "twin"), policies):
             print(f"{simulator}{f' with late vehicle {late}' if late else ''}: {policy.name}", flush=True)
-            known = dataclasses.asdict(policy.record)
-            play_policy(store, policy.policy, episodes, env, simulator, name=policy.name, known=known, **options)
+            key = policy.name, 0
+            store.admit({key: policy.record})
+            plays = [Play(*key, *episode) for episode in episodes]
+            play_missing(store, plays, {key: policy.policy}, env, simulator, **options)
             wanted += [(policy.name, 0, simulator, context.content_hash, seed) for context, seed in episodes]
     table = store.table
     return table[pd.MultiIndex.from_frame(table[list(EPISODE)]).isin(wanted)]

@@ -20,7 +20,6 @@ COMMANDS = {
     "zoo": ("izoo.zoo.__main__", "trained policies that ship, and exports of your own"),
     "drivers": ("izoo.drivers.__main__", "calibrate human drivers on trajectories"),
     "benchmarks.campaign": ("izoo.benchmarks.campaign.__main__", "train, test and compare what an experiment lists"),
-    "benchmarks.planner": ("izoo.benchmarks.planner", "how much a planner that knows the future saves"),
     "benchmarks.twin": ("izoo.benchmarks.twin", "how far the twin and SUMO agree"),
     "benchmarks.calibration": ("izoo.benchmarks.calibration", "whether calibration finds drivers that are known"),
     "benchmarks.speed": ("izoo.benchmarks.speed", "how fast environments, training and emissions are here"),

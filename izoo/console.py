@@ -187,11 +187,7 @@ class Interrupt:
             signal.signal(signal.SIGINT, signal.default_int_handler)
             raise KeyboardInterrupt
         self.requested = True
-        print(
-            "\nFinishing this batch and saving. Ctrl-C again stops at once.",
-            file=sys.stderr,
-            flush=True,
-        )
+        print("\nFinishing this batch and saving. Ctrl-C again stops at once.", file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager

@@ -15,7 +15,6 @@ import yaml
 from izoo import __main__ as izoo
 from izoo import collect, console, evaluate, train
 from izoo.algos.learners.ddpg import DDPGConfig
-from izoo.benchmarks.planner import PlannerConfig
 from izoo.benchmarks.twin import FidelityConfig
 from izoo.cli.compose import compose_config
 from izoo.conf.choices import groups
@@ -27,7 +26,7 @@ from izoo.results.store import read_manifest
 from tests.conftest import Refused
 
 
-@pytest.mark.parametrize("cls", [TrainConfig, CollectConfig, PlannerConfig, FidelityConfig])
+@pytest.mark.parametrize("cls", [TrainConfig, CollectConfig, FidelityConfig])
 def test_without_words_options_have_their_defaults(cls: type) -> None:
     assert compose_config(cls, []) == cls()
 

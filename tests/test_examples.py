@@ -13,7 +13,7 @@ from tests.envs.worlds import crossing, short
 FOLDER = Path(__file__).resolve().parent.parent / "izoo" / "docs" / "examples"
 TESTED = {
     *("ppo_by_hand", "stock_torchrl", "sb3_ego", "own_contexts", "own_reward", "own_policy", "own_city"),
-    *("offline_data", "adoption", "rllib_ppo", "ray_twins"),  # the last in training/test_ray.py
+    *("offline_data", "rllib_ppo", "ray_twins"),  # the last in training/test_ray.py
 }
 
 
@@ -151,29 +151,3 @@ def test_offline_data(tmp_path: Path) -> None:
     losses, summary = offline_data.main(frames=600, updates=20, horizon_s=75.0, contexts=2, cache=tmp_path)
     assert len(losses) == 20 and np.isfinite(losses).all()
     assert {"clone", "glide"} <= summary["entries"].keys()
-
-
-@pytest.mark.slow
-def test_adoption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from izoo.contexts.procedural import procedural_context
-    from izoo.docs.examples import adoption
-
-    monkeypatch.setenv("IZOO_CACHE_DIR", str(tmp_path / "cache"))
-    context = procedural_context(lane_count=1, inflow_vph_per_lane=400.0)
-    policies = ["uncommanded", "glide", "zoo:measured_search", "both=glide,zoo:measured_search"]
-    entries = [adoption.Entry.named(policy) for policy in policies]
-    rows = adoption.measure([context], entries, tmp_path, seeds=2, horizon_s=125.0)
-    found = {(row["policy"], row["vehicle"], round(row["adoption"], 2)): row["saved"]["human"]["value"] for row in rows}
-    assert len(found) == 24
-    again = adoption.measure([context.replace(temperature_c=5.0)], entries[:2], tmp_path, seeds=2, horizon_s=125.0)
-    assert {row["contexts"] for row in again} == {1}, "what is there of other contexts does not count"
-    for (name, *setting), value in found.items():
-        if name == "both":
-            apart = [found[(other, *setting)] for other in ("glide", "measured_search")]
-            assert value == pytest.approx(np.mean(apart)), "several training seeds count as their mean"
-    assert {row["train_seeds"] for row in rows if row["policy"] == "both"} == {2}
-    human = [value for (name, vehicle, _), value in found.items() if name == "uncommanded" and vehicle == "human"]
-    assert human == [0.0, 0.0, 0.0], "with human parameters, uncommanded CVs are human driving"
-    assert any(value != 0.0 for (name, vehicle, _), value in found.items() if name == "glide" and vehicle == "human")
-    adoption.draw(rows, tmp_path / "adoption.png")
-    assert (tmp_path / "adoption.png").stat().st_size > 10_000

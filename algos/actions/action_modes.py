@@ -276,10 +276,7 @@ class ResidualAction(ActionMode):
     half_width_mps2: float = 1.0
     act_share: float = 0.08
     spread: float = 0.35
-    ranges = (
-        ("half_width_mps2", 0.01, ACTION_HIGH_MPS2 - ACTION_LOW_MPS2, "m/s^2"),
-        *PointMass.ranges,
-    )
+    ranges = (("half_width_mps2", 0.01, ACTION_HIGH_MPS2 - ACTION_LOW_MPS2, "m/s^2"), *PointMass.ranges)
 
     def space(self, env: EnvConfig) -> ActionSpace:
         still = PointMass(self.act_share, self.spread, two_sided=True)

@@ -118,17 +118,7 @@ SETTINGS = (
 )
 """Glide's settings, and where the search begins: by hand, on measured intersections (one setting at a time)."""
 OTHERS = {"standing_gap_m": 3.0, "queue_speed_mps": 2.0}
-GATE = (
-    "always",
-    "green share",
-    "seconds to lose",
-    "distance",
-    "follower",
-    "more lanes",
-    "adoption",
-    "traffic",
-    "red",
-)
+GATE = ("always", "green share", "seconds to lose", "distance", "follower", "more lanes", "adoption", "traffic", "red")
 """What decides whether holding back is worth it: a CV glides where the weighted sum of these is above 0."""
 GATE_STARTS = ((1.0, 0.5, 0.0, 0.0, 0.0, 0.0, -1.5, 0.5, 0.0), (0.3, 0.5, 0.0, 0.0, 0.0, -0.2, -1.0, 0.5, 0.0))
 """Weights at the start of the search, by kind of road."""

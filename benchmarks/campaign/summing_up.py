@@ -19,6 +19,7 @@ from izoo.benchmarks.planner import PLANNER
 from izoo.console import counted
 from izoo.envs import SIMULATORS
 from izoo.files import write_json
+from izoo.metrics.cell import Cell
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import BASELINES, UNCOMMANDED, pair
 from izoo.metrics.statistics import iqm
@@ -26,7 +27,7 @@ from izoo.metrics.summary import TRAINING, Summary, summarise
 from izoo.report import plots, tables
 from izoo.report.leaderboard import write_entries
 from izoo.report.report_data import TRAIN_FOLDER
-from izoo.report.tables import SAVED, Cell, Table
+from izoo.report.tables import SAVED, Table
 from izoo.results.schema import EPISODE
 from izoo.results.store import MANIFEST_FILE, read_manifest, read_table
 from izoo.training import run_folder

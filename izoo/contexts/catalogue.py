@@ -112,7 +112,7 @@ def build(
     )
 
 
-class Scenarios(Lazy[Context]):
+class Scenarios(ContextList):
     """A lazy, finite CMDP of city scenarios, in catalogue order; one-approach contexts follow in letter order.
 
     Args:
@@ -164,16 +164,13 @@ class Scenarios(Lazy[Context]):
         ]
         self._ends = np.cumsum(np.concatenate(counts)) if counts else np.zeros(0, dtype=int)
         self._city_ends = np.cumsum([len(places) for places in self._places])
-        super().__init__(int(self._ends[-1]) * self._per_place if len(self._ends) else 0, self._build)
-        if len(self) == 0:
+        count = int(self._ends[-1]) * self._per_place if len(self._ends) else 0
+        if count == 0:
             raise IzooError("no scenario is selected: a filter is empty; leave it out to mean every value.")
+        super().__init__(Lazy(count, self._build))
 
     def _build(self, index: int) -> Context:
         return build(*self.locate(index), self.weather, self.cv_vehicle)
-
-    def sample(self, generator: np.random.Generator) -> Context:
-        """Draw one context, uniformly."""
-        return self[int(generator.integers(len(self)))]
 
     @property
     def _per_place(self) -> int:

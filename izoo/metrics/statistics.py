@@ -246,12 +246,15 @@ def _interval(value: float, parts: Sequence[Part], places: int, *seeds: int) -> 
     if places < MIN_INTERSECTIONS or math.sqrt(parts[0].variance) <= 1e-12 * max(abs(value), 1.0):
         return Estimate(value)
     variance, degrees = _added(*parts)
-    error = math.sqrt(variance)
-    half = student_t_quantile(0.5 + 0.5 * CONFIDENCE, degrees) * error
-    p = 2.0 * student_t_below(-abs(value) / error, degrees)
     few = any(1 < count < MIN_TRAIN_SEEDS for count in seeds)
     over = INTERSECTIONS if few or len(parts) == 1 else INTERSECTIONS_AND_SEEDS
-    return Estimate(value, value - half, value + half, over, p)
+    return student(value, math.sqrt(variance), degrees, over)
+
+
+def student(value: float, error: float, degrees: int, over: str) -> Estimate:
+    """Return a figure with Student's interval, from its standard error and the degrees of freedom."""
+    half = student_t_quantile(0.5 + 0.5 * CONFIDENCE, degrees) * error
+    return Estimate(value, value - half, value + half, over, 2.0 * student_t_below(-abs(value) / error, degrees))
 
 
 def student_t_below(t: float, degrees: int) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Mapping
@@ -12,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from izoo.errors import IzooError
+from izoo.metrics.cell import Cell
 from izoo.metrics.figures import FIGURES, HEADLINE
 from izoo.metrics.pairing import (
     BASELINES,
@@ -27,7 +27,6 @@ from izoo.metrics.pairing import (
     simulators,
 )
 from izoo.metrics.statistics import (
-    CONFIDENCE,
     MIN_INTERSECTIONS,
     SIGNIFICANCE,
     Estimate,
@@ -36,8 +35,7 @@ from izoo.metrics.statistics import (
     holm,
     pooled,
     separate_difference,
-    student_t_below,
-    student_t_quantile,
+    student,
     typical,
 )
 
@@ -202,12 +200,8 @@ def _words(found: Summary, figure: str, unit: str = "") -> _Words:
 
 def _number(found: Summary, figure: str, unit: str = "") -> str:
     """An estimate with its unit, and its interval where it has one."""
-    digits = FIGURES[figure].digits
-    value, low, high = (
-        "" if found[key] is None else f"{round(found[key], digits) + 0.0:.{digits}f}"  # no "-0.0"
-        for key in ("value", "low", "high")
-    )
-    return f"{value} {unit or FIGURES[figure].unit}" + (f" [{low}, {high}]" if low else "")
+    declared = FIGURES[figure]
+    return str(Cell(found["value"], found["low"], found["high"], unit or declared.unit, declared.digits))
 
 
 def _pairs(rows: pd.DataFrame) -> Pairs:
@@ -384,15 +378,6 @@ def over_episode_seeds(table: pd.DataFrame, policy: str, baseline: str, found: d
         for left in without:
             value = by_intersection(left.contexts, figure.value(left.own, left.baseline))[0]
             own.append(float(typical(value)) if value.size else math.nan)
-        count = len(own)
-        spread = math.sqrt((count - 1) * float(np.var(own)))
-        if not spread > 0.0:
-            continue
-        half = student_t_quantile(0.5 + 0.5 * CONFIDENCE, count - 1) * spread
-        found[name] = dataclasses.replace(
-            whole,
-            low=whole.value - half,
-            high=whole.value + half,
-            p=2.0 * student_t_below(-abs(whole.value) / spread, count - 1),
-            over=EPISODE_SEEDS,
-        )
+        spread = math.sqrt((len(own) - 1) * float(np.var(own)))
+        if spread > 0.0:
+            found[name] = student(whole.value, spread, len(own) - 1, EPISODE_SEEDS)

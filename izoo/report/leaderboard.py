@@ -82,11 +82,7 @@ def write_entries(folder: Path) -> list[Path]:
 
 
 def make_entry(
-    policy: Mapping[str, Any],
-    task: str,
-    model_version: int,
-    versions: Mapping[str, str],
-    rows: pd.DataFrame,
+    policy: Mapping[str, Any], task: str, model_version: int, versions: Mapping[str, str], rows: pd.DataFrame
 ) -> dict[str, Any]:
     """Return the content of a file.
 

@@ -9,11 +9,12 @@ import pandas as pd
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from izoo.errors import IzooError
+from izoo.metrics.cell import Cell
 from izoo.metrics.level_of_service import MOST_DELAY_S, by_intersection, by_movement
 from izoo.metrics.pairing import BASELINES, HUMAN, UNCOMMANDED
 from izoo.networks.draw.town import draw_town
 from izoo.report.report_data import Evaluation
-from izoo.report.tables import Cell, Row, Table, ranking
+from izoo.report.tables import Row, Table, ranking
 from izoo.results.store import read_contexts
 
 MOST_INTERSECTIONS = 60

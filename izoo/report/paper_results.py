@@ -6,7 +6,8 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from izoo.report.tables import Cell, Row, Table
+from izoo.metrics.cell import Cell
+from izoo.report.tables import Row, Table
 from izoo.tasks.built_in import PAPER
 
 COLUMNS = {

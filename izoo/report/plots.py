@@ -11,10 +11,11 @@ import matplotlib
 import numpy as np
 from numpy.typing import ArrayLike
 
+from izoo.metrics.cell import Cell
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import BASELINES, UNCOMMANDED
 from izoo.metrics.statistics import performance_profile
-from izoo.report.tables import SAVED, Cell, Table, compared, ranking
+from izoo.report.tables import SAVED, Table, compared, ranking
 from izoo.training.plots import PALETTE, QUIET, Chart, Series, draw
 
 DELAY = "delay_change_s"

@@ -13,10 +13,12 @@ from rich.console import Console
 from izoo.conf.mapping import to_mapping
 from izoo.errors import IzooError
 from izoo.files import check_folder, write_text
+from izoo.metrics.cell import Cell
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import UNCOMMANDED
 from izoo.metrics.summary import summarise
-from izoo.report.tables import SAVED, Cell, Table, compared
+from izoo.networks.dataset.intersections import natural_key
+from izoo.report.tables import SAVED, Table, compared
 from izoo.results.store import MANIFEST_FILE, ROWS_FILE, flat, read_table
 from izoo.training import plots, run_folder
 from izoo.training.loggers import MetricsTable
@@ -95,7 +97,8 @@ def report(folder: Path, imports: bool = False) -> Path:
         IzooError: there are no runs.
     """
     check_folder(folder, "give the folder of a sweep (izoo.train -m ...)")
-    found = sorted((path.parent for path in folder.rglob(run_folder.CONFIG_FILE)), key=_natural)
+    runs = (path.parent for path in folder.rglob(run_folder.CONFIG_FILE))
+    found = sorted(runs, key=lambda path: natural_key(path.as_posix()))
     table = pd.DataFrame([read_run(run_dir, imports) for run_dir in found])
     table[list(MEASURES)] = table[list(MEASURES)].astype(float)
     options = varied(table)
@@ -144,9 +147,3 @@ def _evaluated(run_dir: Path) -> float | None:
         return None
     found = [summary["entries"][name]["against"].get(UNCOMMANDED, {}) for name in compared(summary)]
     return next((of[summary["block"]]["figures"][MEASURE.name]["value"] for of in found if of), None)
-
-
-def _natural(path: Path) -> list[tuple[int, int, str]]:
-    """Sort key under which ``10-ppo`` follows ``9-ppo``."""
-    words = path.as_posix().replace("-", "/").split("/")
-    return [(0, int(word), "") if word.isdigit() else (1, 0, word) for word in words]

@@ -20,7 +20,8 @@ from rich.text import Text
 
 from izoo.console import counted, plain
 from izoo.envs import SIMULATORS
-from izoo.metrics.figures import FIGURES, HEADLINE, Figure
+from izoo.metrics.cell import Cell
+from izoo.metrics.figures import FIGURES, HEADLINE
 from izoo.metrics.pairing import BASELINES, HUMAN, UNCOMMANDED
 from izoo.metrics.summary import BLOCKS, MIN_EPISODE_SEEDS
 
@@ -32,48 +33,6 @@ SLOWER = "slower"
 WIDTH = 80
 ABREAST = 6
 """Policies that stand side by side in a table of levels."""
-
-
-@dataclass(frozen=True)
-class Cell:
-    """A number of a table.
-
-    Attributes:
-        value: what is shown; ``None``: nothing is known.
-        low, high: ends of its interval; ``None``: it has none.
-        unit, digits: how it is written.
-        signed: whether a gain has a plus.
-        note: what stands in the place of an interval.
-    """
-
-    value: float | None = None
-    low: float | None = None
-    high: float | None = None
-    unit: str = ""
-    digits: int = 1
-    signed: bool = False
-    note: str = ""
-
-    @property
-    def number(self) -> str:
-        """The value with its unit."""
-        if self.value is None:
-            return "-"
-        text = self._round(self.value)
-        return f"{'+' if self.signed and float(text) > 0 else ''}{text}{self.unit and ' ' + self.unit}"
-
-    @property
-    def interval(self) -> str:
-        """The ends, or the note, in brackets; empty where there are none."""
-        if self.note:
-            return f"({self.note})"
-        return "" if self.low is None or self.high is None else f"[{self._round(self.low)}, {self._round(self.high)}]"
-
-    def __str__(self) -> str:
-        return f"{self.number} {self.interval}".rstrip()
-
-    def _round(self, value: float) -> str:
-        return f"{round(value, self.digits) + 0.0:.{self.digits}f}"  # no "-0.0"
 
 
 @dataclass(frozen=True)
@@ -265,7 +224,7 @@ def gaps(summary: Mapping[str, Any]) -> Table:
                 summary["gaps"][name],
                 figure_cell(summary["entries"][name], SAVED, UNCOMMANDED, summary["block"]),
             )
-            rows.append((name, _estimate(gap["training"], figure), here, _estimate(gap["gap"], figure, "points")))
+            rows.append((name, Cell.of(gap["training"], figure), here, Cell.of(gap["gap"], figure, "points")))
     title = f"Generalisation gap, {figure.label} over {UNCOMMANDED}"
     return Table.of(title, ("entry", "training contexts", "test contexts", "gap"), rows)
 
@@ -277,7 +236,7 @@ def cities(summary: Mapping[str, Any]) -> Table:
     figures = [f for f in HEADLINE if FIGURES[f].paired] if len(names) == 1 else [SAVED]
     for city, entries in summary["cities"].items():
         n = max(entry["intersections"] for entry in entries.values())
-        cells = [_estimate(entries[name]["figures"][f], FIGURES[f]) for name in names for f in figures]
+        cells = [Cell.of(entries[name]["figures"][f], FIGURES[f]) for name in names for f in figures]
         rows.append((city, n, *cells))
     labels = [FIGURES[f].label for f in figures]
     title, headings = ("By city", labels) if len(names) == 1 else (f"{labels[0]} by city", names)
@@ -298,7 +257,7 @@ def pairwise(summary: Mapping[str, Any]) -> Table:
     for pair in summary["pairwise"]:
         p = pair["p_holm"]
         shown = "-" if p is None else f"{p:.3f}" if p >= 0.001 else "< 0.001"
-        points = _estimate(pair["difference"], figure, "points")
+        points = Cell.of(pair["difference"], figure, "points")
         rows.append((f"{pair['x']} - {pair['y']}", points, shown, pair["verdict"]))
     title = f"Differences in {figure.label}, {summary['block']} intersections"
     return Table.of(title, ("pair", "difference", "p (Holm)", "verdict"), rows)
@@ -318,8 +277,6 @@ def counts(summary: Mapping[str, Any]) -> str:
     if n["intersections"] == 1:
         text += (
             f"Brackets: 95 % intervals over the {n['eval_seeds']} episode seeds of this intersection (Student's t of "
-        )
-        text += (
             f"paired seeds, from {MIN_EPISODE_SEEDS} on); they say nothing of other intersections or training seeds."
         )
     else:
@@ -334,7 +291,9 @@ def counts(summary: Mapping[str, Any]) -> str:
 
 def cautions(summary: Mapping[str, Any]) -> list[str]:
     """Say of which policies figures are in part those of the simulator's driver."""
-    shares = {name: _level(summary, name, "nan_share", "all") for name in compared(summary)}
+    shares = {
+        name: figure_cell(summary["entries"][name], "nan_share", UNCOMMANDED, "all") for name in compared(summary)
+    }
     return [
         f"{name}: {share.number} of its commands were NaN; the simulator drove those vehicles."
         for name, share in shares.items()
@@ -360,9 +319,12 @@ def _of_entry(summary: Mapping[str, Any], name: str, figures: Sequence[str], mos
         rows += [(FIGURES[f].label, [_beside(summary, name, f, block) for block in blocks]) for f in levels]
     else:
         for b in against:
+            of = entry["against"][b]
             for key in ("mean", "median"):
                 label = f"{FIGURES[SAVED].label}, over {b}: {key}"
-                rows.append((label, [_plain(entry["against"][b].get(block, {}).get(key)) for block in blocks]))
+                rows.append(
+                    (label, [Cell.of({"value": of.get(block, {}).get(key)}, FIGURES[SAVED]) for block in blocks])
+                )
             label = f"intersections that gain, lose over 1 %, over {b}"
             rows.append((label, [_shares(entry, block, b) for block in blocks]))
     found = [entry["against"][b] for b in against]
@@ -374,14 +336,16 @@ def _of_entry(summary: Mapping[str, Any], name: str, figures: Sequence[str], mos
 
 def _levels(summary: Mapping[str, Any], names: Sequence[str]) -> Table:
     """Return the levels of policies side by side, in the main block."""
-    figures = [f for f in FIGURES if not FIGURES[f].paired]
-    rows = [(FIGURES[f].label, *(_level(summary, name, f, summary["block"]) for name in names)) for f in figures]
+    figures, entries = [f for f in FIGURES if not FIGURES[f].paired], [summary["entries"][name] for name in names]
+    block = summary["block"]
+    rows = [(FIGURES[f].label, *(figure_cell(of, f, UNCOMMANDED, block) for of in entries)) for f in figures]
     return Table.of(f"Levels, {summary['block']} intersections", ("figure", *names), rows)
 
 
 def _beside(summary: Mapping[str, Any], name: str, figure: str, block: str) -> Cell:
     """A level of an entry, with that of the uncommanded CVs."""
-    own, other = (_level(summary, policy, figure, block) for policy in (name, UNCOMMANDED))
+    entries = (summary["entries"].get(policy, {}) for policy in (name, UNCOMMANDED))
+    own, other = (figure_cell(entry, figure, UNCOMMANDED, block) for entry in entries)
     return dataclasses.replace(own, note="" if other.value is None else f"{UNCOMMANDED} {other.number}")
 
 
@@ -389,24 +353,10 @@ def figure_cell(entry: Mapping[str, Any], figure: str, baseline: str, block: str
     """A figure of an entry over a baseline, or its level where it compares with nothing."""
     declared = FIGURES[figure]
     if not declared.paired:
-        return Cell(entry["levels"].get(block, {}).get(figure), unit=declared.unit, digits=declared.digits)
+        level = entry.get("levels", {}).get(block, {}).get(figure)
+        return Cell(level, unit=declared.unit, digits=declared.digits)
     found = entry["against"].get(baseline, {}).get(block, {}).get("figures", {}).get(figure)
-    return Cell(unit=declared.unit) if found is None else _estimate(found, declared)
-
-
-def _estimate(found: Mapping[str, Any], figure: Figure, unit: str | None = None) -> Cell:
-    ends = found["value"], found.get("low"), found.get("high")
-    return Cell(*ends, figure.unit if unit is None else unit, figure.digits, figure.paired)
-
-
-def _level(summary: Mapping[str, Any], name: str, figure: str, block: str) -> Cell:
-    value = summary["entries"].get(name, {}).get("levels", {}).get(block, {}).get(figure)
-    return Cell(value, unit=FIGURES[figure].unit, digits=FIGURES[figure].digits)
-
-
-def _plain(value: float | None) -> Cell:
-    figure = FIGURES[SAVED]
-    return Cell(value, unit=figure.unit, digits=figure.digits, signed=True)
+    return Cell(unit=declared.unit) if found is None else Cell.of(found, declared)
 
 
 def _shares(entry: Mapping[str, Any], block: str, baseline: str = UNCOMMANDED) -> str:

@@ -216,31 +216,6 @@ def play_missing(
             store.add(played.rows)
 
 
-def play_policy(
-    store: Store,
-    given: str | Policy,
-    episodes: Iterable[tuple[Context, int]],
-    config: EnvConfig,
-    simulator: str,
-    *,
-    name: str | None = None,
-    train_seed: int = 0,
-    known: Mapping[str, Any] | None = None,
-    **options: Any,
-) -> None:
-    """Play what a store lacks of a policy, and keep it.
-
-    Args:
-        given: as for :func:`evaluate_policy`.
-        known: what the manifest says of it beside what can be seen of it, as fields of its record.
-        options: of :func:`rollout`.
-    """
-    named = as_policy(given, config, name)
-    key = (named.name, train_seed)
-    store.admit({key: dataclasses.replace(named.record, **(known or {}))})
-    play_missing(store, [Play(*key, *each) for each in episodes], {key: named.policy}, config, simulator, **options)
-
-
 def evaluated(config: EnvConfig) -> EnvConfig:
     """Return the environment of evaluated episodes: played out after their horizon."""
     return config if config.drain_s else dataclasses.replace(config, drain_s=DRAIN_S)

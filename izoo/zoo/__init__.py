@@ -8,14 +8,4 @@ path.
 from izoo.zoo.catalog import card, named, names
 from izoo.zoo.trained import TrainedPolicy, check_fits, full_episodes, load, read, write
 
-__all__ = [
-    "TrainedPolicy",
-    "card",
-    "check_fits",
-    "full_episodes",
-    "load",
-    "named",
-    "names",
-    "read",
-    "write",
-]
+__all__ = ["TrainedPolicy", "card", "check_fits", "full_episodes", "load", "named", "names", "read", "write"]

@@ -7,10 +7,11 @@ import re
 import pytest
 from rich.console import Console
 
+from izoo.metrics.cell import Cell
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.summary import summarise
 from izoo.report import tables
-from izoo.report.tables import Cell, Row, Table
+from izoo.report.tables import Row, Table
 from tests.report.made_tables import SEVERAL, table
 
 

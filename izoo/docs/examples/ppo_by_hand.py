@@ -89,11 +89,7 @@ def main(
     loss.set_keys(action=("agents", "action"), sample_log_prob=("agents", "action_log_prob"), **KEYS)
     optimiser = torch.optim.Adam(loss.parameters(), lr=LEARNING_RATE)
     collector = Collector(
-        env,
-        actor,
-        frames_per_batch=frames_per_batch,
-        total_frames=total_frames,
-        auto_register_policy_transforms=False,
+        env, actor, frames_per_batch=frames_per_batch, total_frames=total_frames, auto_register_policy_transforms=False
     )
     history = []
     for batch in collector:
