@@ -46,7 +46,7 @@ def pack(batch: TensorDictBase, keys: Keys | None = None) -> Packed:
 
 
 class Assembly:
-    """Memory for a batch ``[nodes * N, T]``, into which the parts of all nodes are written; slots without an agent are 0.
+    """Memory for a batch ``[nodes * N, T]``, into which nodes' parts are written; slots without an agent are 0.
 
     Memory from the system would have to be cleared for every batch, which takes four times as long.
     """
