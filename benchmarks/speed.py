@@ -27,6 +27,11 @@ from izoo.errors import check_range, check_types
 if TYPE_CHECKING:
     from izoo.benchmarks.timing.rows import Row
 
+LEGEND = (
+    "twin E x T: E environments, T threads; to bare: ratio to bare libsumo; veh.: vehicles in the controlled region; "
+    "serial: time of the main thread in a step of all environments that more threads do not reduce, and its share of "
+    "all work; most: the largest possible speed-up on 16 cores with that share."
+)
 RowName = Literal["sumo", "twin", "policy", "training", "start", "emissions"]
 Scenario = Literal["two_lanes", "light", "medium", "heavy"]
 
@@ -137,7 +142,9 @@ def print_table(rows: Sequence[Row], markdown: bool = False) -> None:
         )
     columns = ["row", "env\nsteps/s", "to\nbare", "CV\nsteps/s", "veh.", "serial\nus", "serial\n%", "most"]
     if markdown:
-        print(Table.of("", [column.replace("\n", " ") for column in columns], lines).markdown() + "\n")
+        print(
+            Table.of("", [column.replace("\n", " ") for column in columns], lines).markdown() + "\n\n" + LEGEND + "\n"
+        )
     else:
         Table.of("speed (twin E x T: E environments, T threads)", columns, lines).show()
     for row in (row for row in rows if row.note):

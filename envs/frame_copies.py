@@ -72,12 +72,8 @@ class Layout:
         array = memory.view(dtype).reshape(*memory.shape[:-1], *shape)
         return array.view(bool) if dtype == np.uint8 else array
 
-    def copy(self, memories: Memories, rows: slice) -> None:
-        """Copy the frames of some environments, whole."""
-        copy_whole(self._source, memories, self._parts, rows.start, rows.stop)
-
-    def copy_held(self, memories: Memories, held: np.ndarray, rows: slice) -> None:
-        """Copy those rows alone which hold something, or did when this memory was written last.
+    def copy(self, memories: Memories, held: np.ndarray, rows: slice) -> None:
+        """Copy rows that hold something, and clear those which did when this memory was written last.
 
         Args:
             memories: whose other rows are 0.
@@ -85,6 +81,10 @@ class Layout:
             rows: the environments.
         """
         copy_held(self._source, memories, self._parts, self._kinds, held, rows.start, rows.stop)
+
+    def all_held(self) -> np.ndarray:
+        """Return what to say of memory that may hold anything: ``[N, 2]``."""
+        return np.tile(self._kinds[:, 3], (self.num_envs, 1))
 
 
 class Copies:
@@ -97,6 +97,7 @@ class Copies:
         self.layout = layout
         self._pools: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in layout.names]
         self._memories: Memories = ()
+        self._held = layout.all_held()
         self._arrays: list[np.ndarray] = []
 
     def begin(self, stepping: bool) -> None:
@@ -109,11 +110,12 @@ class Copies:
                 self._pools[number] = [(memory, self.layout.array(number, memory)), *self._pools[number]][:KEPT]
         chosen = [pool[place or 0] for pool, place in zip(self._pools, places, strict=True)]
         self._memories = tuple(memory for memory, _ in chosen)
+        self._held = self.layout.all_held()  # those who had it may have written into it
         self._arrays = [array for _, array in chosen]
 
     def take(self, rows: slice) -> None:
         """Copy the frames of some environments; threads do so side by side, each for its own."""
-        self.layout.copy(self._memories, rows)
+        self.layout.copy(self._memories, self._held, rows)
 
     def tensors(self) -> tuple[Tensors, Tensors]:
         """Return what the step led to, and what to act on next: the same tensors."""
@@ -172,7 +174,7 @@ class BatchBuffer:
     def take(self, rows: slice) -> None:
         """Write the frames of some environments to where they belong in the batch."""
         for memories, held in self._written:
-            self.layout.copy_held(memories, held, rows)
+            self.layout.copy(memories, held, rows)
 
     def tensors(self) -> tuple[Tensors, Tensors]:
         """Return what the step led to, and what to act on next; valid until the batch after this one."""
@@ -202,28 +204,22 @@ def _as_tensors(names: Iterable[str], arrays: Iterable[np.ndarray]) -> Tensors:
 
 
 @compiled(nogil=True)
-def copy_whole(source, memories, parts, first, last):  # type: ignore[no-untyped-def]
-    """Copy what is emitted of the environments from ``first`` to ``last``; see :class:`Layout`."""
-    for k in range(len(memories)):
-        size = parts[k, 1]
-        _copy(source, parts[k, 0] + first * size, memories[k], first * size, (last - first) * size)
-
-
-@compiled(nogil=True)
 def copy_held(source, memories, parts, kinds, held, first, last):  # type: ignore[no-untyped-def]
-    """Copy rows that hold something, or held something in this memory; see :meth:`Layout.copy_held`."""
-    most = np.empty(kinds.shape[0], np.int64)
+    """Copy rows that hold something, and clear those which held something; see :meth:`Layout.copy`."""
+    before, now = np.empty(kinds.shape[0], np.int64), np.empty(kinds.shape[0], np.int64)
     for n in range(first, last):
         for kind in range(kinds.shape[0]):
             flags, count = kinds[kind, 0] + n * kinds[kind, 1], kinds[kind, 3]
             while count > 0 and source[flags + (count - 1) * kinds[kind, 2]] == 0:
                 count -= 1
-            most[kind] = max(count, held[n, kind])
+            before[kind], now[kind] = held[n, kind], count
             held[n, kind] = count
         for k in range(len(memories)):
-            at, size = parts[k, 0] + n * parts[k, 1], parts[k, 1]
-            written = size if parts[k, 2] == 0 else parts[k, 2] * most[parts[k, 3]]
+            at, size, row, kind = parts[k, 0] + n * parts[k, 1], parts[k, 1], parts[k, 2], parts[k, 3]
+            written = row * now[kind] if row > 0 else size
             _copy(source, at, memories[k], n * size, written)
+            if row > 0:
+                memories[k][n * size + written : n * size + row * max(before[kind], now[kind])] = 0
 
 
 @compiled(borrows=True)

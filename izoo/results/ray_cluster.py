@@ -16,14 +16,14 @@ WORKER_RESOURCES = {"num_cpus": 1, "num_gpus": 0}
 CONNECT_S = 10.0
 
 
-def collecting(cores: int = 1) -> dict[str, Any]:
-    """Return what a process that collects batches for a learner asks of the cluster.
+def collecting() -> dict[str, Any]:
+    """Return what a process that collects batches for a learner asks of the cluster, on a core.
 
     It hands tensors over as they lie in memory: pickled, a batch would be copied four times more. What it hands over
     must not be written to; a ``RayCollector`` with ``sync=True`` stacks it, which copies it.
     """
     tensors = {"env_vars": {"RAY_ENABLE_ZERO_COPY_TORCH_TENSORS": "1"}}
-    return {**WORKER_RESOURCES, "num_cpus": cores, "runtime_env": tensors}
+    return {**WORKER_RESOURCES, "runtime_env": tensors}
 
 
 def connect() -> Any:

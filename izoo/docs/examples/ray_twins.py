@@ -11,23 +11,33 @@ import sys
 import time
 
 import torch
-from torchrl.envs.utils import ExplorationType
 
 from izoo.algos.actions.action_modes import DirectAction
-from izoo.algos.learners.base import MASK, REWARD
+from izoo.algos.learners.base import ACTION, DONE, LOC, LOG_PROB, MASK, OBSERVATION, REWARD, SCALE, TERMINATED
 from izoo.algos.learners.ppo import PPOConfig
 from izoo.algos.learners.registry import make_algorithm
 from izoo.contexts.procedural import ProceduralSource
-from izoo.envs import EnvConfig, TwinEnv
-from izoo.results import ray_cluster
+from izoo.envs import EnvConfig
+from izoo.training.environments import TrainingBatchEnv, training_class
+from izoo.training.twin_nodes import TwinNodes
+
+READ = (
+    *(OBSERVATION, MASK, ACTION, LOG_PROB, LOC, SCALE),
+    *(("next", *key) for key in (OBSERVATION, MASK, REWARD, DONE, TERMINATED)),
+)
+"""What PPO reads of a batch, which is all that nodes send."""
 
 
-def make_env(node: int, nodes: int, num_envs: int, threads: int, config: EnvConfig) -> TwinEnv:
+def make_env(node: int, nodes: int, num_envs: int, threads: int, config: EnvConfig) -> TrainingBatchEnv:
     """Return the environments of a node; of the episodes, which are numbered, every ``nodes``-th is its own."""
-    torch.manual_seed(node)  # of what its policy draws
-    contexts = ProceduralSource()
-    return TwinEnv(
-        num_envs, contexts, config=config, threads=threads, surrogate="compiled", shard=node, num_shards=nodes
+    return training_class("twin")(
+        num_envs,
+        contexts=ProceduralSource(),
+        config=config,
+        threads=threads,
+        surrogate="compiled",
+        shard=node,
+        num_shards=nodes,
     )
 
 
@@ -48,37 +58,23 @@ def main(
         batches, steps: so many batches of so many decisions of every environment.
         config: of the environments.
     """
-    ray_cluster.connect()
-    from torchrl.collectors.distributed import RayCollector
-
     config = config or EnvConfig(emit=())
     torch.manual_seed(0)
     algorithm = make_algorithm(PPOConfig(), DirectAction(), config)
-    frames = nodes * num_envs * steps
-    collector = RayCollector(
-        [functools.partial(make_env, node, nodes, num_envs, threads, config) for node in range(nodes)],
-        algorithm.policy,
-        frames_per_batch=frames,
-        total_frames=batches * frames,
-        exploration_type=ExplorationType.RANDOM,
-        trust_policy=True,
-        collector_kwargs={"track_traj_ids": False, "auto_register_policy_transforms": False},
-        remote_configs=ray_cluster.collecting(threads),
-        sync=True,  # on-policy: all nodes act with the same weights
-    )
-    collector.update_policy_weights_(algorithm.policy)
+    makers = [functools.partial(make_env, node, nodes, num_envs, threads, config) for node in range(nodes)]
+    collector = TwinNodes(makers, algorithm.policy, steps, threads, READ)
     history = []
     try:
         begin = time.perf_counter()
-        for number, batch in enumerate(collector):
-            algorithm.update(batch.exclude("collector"), number / batches)
-            collector.update_policy_weights_(algorithm.policy)
+        for number in range(batches):
+            batch = collector.next()  # on-policy: all nodes act with the present weights
+            algorithm.update(batch, number / batches)
             reward = batch.get(("next", *REWARD)).squeeze(-1)[batch.get(MASK)].mean()
             seconds, begin = time.perf_counter() - begin, time.perf_counter()
-            history.append((float(reward), frames / seconds))
-            print(f"batch {number + 1}: reward {float(reward):.3f}, {frames / seconds:,.0f} steps/s", flush=True)
+            history.append((float(reward), batch.numel() / seconds))
+            print(f"batch {number + 1}: reward {history[-1][0]:.3f}, {history[-1][1]:,.0f} steps/s", flush=True)
     finally:
-        collector.shutdown()
+        collector.close()
     return history
 
 
