@@ -19,8 +19,9 @@ from izoo.cli.option_command import GOES_ON, OptionCommand
 from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
 from izoo.envs.config import ACTION_LOW_MPS2, EnvConfig
-from izoo.errors import CheckedOptions, IzooError, check_range
+from izoo.errors import IzooError, check_range
 from izoo.files import make_absolute
+from izoo.options import CheckedOptions
 
 if TYPE_CHECKING:
     import pandas as pd

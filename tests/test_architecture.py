@@ -18,6 +18,7 @@ SIMULATOR = {"libsumo", "traci"}
 
 FLOORS = (
     {"errors", "cores"},
+    {"options"},
     {"files", "console", "gpu", "imports", "processes"},
     {"compiling", "user_key"},
     {"metrics", "emissions"},
@@ -137,7 +138,7 @@ def test_every_room_has_a_floor() -> None:
         ("izoo.metrics.figures", "from izoo.contexts.context import Context"),
         ("izoo.envs.env", "def late():\n    from izoo.algos.learners.ppo import PPO"),
         ("izoo.algos.learners.ppo", "from ...conf import mapping"),
-        ("izoo.cli.compose", "import izoo.benchmarks.campaign.jobs"),
+        ("izoo.cli.option_command", "import izoo.benchmarks.campaign.jobs"),
         ("izoo.new_room.thing", "from izoo import errors"),
     ],
 )

@@ -15,12 +15,12 @@ from torch import Tensor
 from torchrl.data.replay_buffers.storages import Storage
 
 from izoo import __version__
-from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import MAX_ENVS, CollectConfig
 from izoo.envs.config import MAX_AGENTS
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError, check_whole
 from izoo.files import expanded, reading, write_json
+from izoo.options import to_mapping
 
 FORMAT, MANIFEST = "izoo-steps-4", "manifest.json"
 AGENTS = {"agents": "agents", "next": ("next", "agents")}

@@ -10,11 +10,11 @@ import torch
 from izoo import train
 from izoo.algos.learners import registry
 from izoo.algos.learners.registry import ALGORITHMS, Home, choices, make_algorithm, preset
-from izoo.cli.compose import compose_config
+from izoo.cli.option_command import compose_config
 from izoo.conf.choices import groups
-from izoo.conf.mapping import from_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
+from izoo.options import from_mapping
 from izoo.training import run_folder
 
 NEW = '''
