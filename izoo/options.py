@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
 import math
 import numbers
 import re
@@ -80,7 +79,6 @@ def to_mapping(config: Any) -> Any:
     return config
 
 
-@functools.cache
 def field_types(cls: Any) -> Mapping[str, Any]:
     """Return the resolved type of each field of a dataclass, in order."""
     hints = typing.get_type_hints(cls)
@@ -126,6 +124,7 @@ def _group(groups: list[Any], value: Any, path: str) -> Any:
 def _fit(kind: Any, value: Any) -> Any:
     """Return a value as one of a type; raises :class:`TypeError` or :class:`OverflowError` where it cannot be one."""
     origin, args, plain = get_origin(kind), get_args(kind), plain_number(value)
+    number = isinstance(plain, numbers.Real) and not isinstance(plain, bool)
     if origin in (typing.Union, types.UnionType):
         found = []
         for part in args:
@@ -141,7 +140,7 @@ def _fit(kind: Any, value: Any) -> Any:
             return origin(_fit(args[0], item) for item in value)
     elif kind not in _WORDS:
         return value
-    elif not isinstance(plain, numbers.Real) or isinstance(plain, bool):
+    elif not number:
         if type(plain) is kind:
             return plain
     elif kind in (int, float, str) and math.isfinite(plain) and (kind is not int or plain == int(plain)):
@@ -156,7 +155,7 @@ def _words(kind: Any) -> str:
         return str(args[0]) if len(args) == 1 else f"one of {', '.join(map(str, args))}"
     if get_origin(kind) in (list, tuple):
         return f"a list, each entry {_words(args[0])}"
-    return " or ".join(map(_words, args)) if args else _WORDS.get(kind, kind.__name__)
+    return " or ".join(map(_words, args)) if args else _WORDS.get(kind, getattr(kind, "__name__", str(kind)))
 
 
 def quoted(text: str) -> str:

@@ -84,7 +84,10 @@ class OptionCommand:
 
     def named(self, words: Sequence[str]) -> list[str]:
         """Return words that are no flags, each as ``option=value``."""
-        return [f"{self.place}={quoted(word)}" if self.place and "=" not in word else word for word in words]
+        found = [f"{self.place}={quoted(word)}" if self.place and "=" not in word else word for word in words]
+        if sum(word.startswith(f"{self.place}=") for word in found) > 1:
+            raise IzooError(f"give one folder: python -m izoo.{self.name} FOLDER.")
+        return found
 
     @usable_paths()
     def _run(self, words: Sequence[str]) -> int:

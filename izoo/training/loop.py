@@ -26,7 +26,7 @@ from izoo.options import to_mapping
 from izoo.processes import processor_s
 from izoo.results.rollout import evaluate_policy
 from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
-from izoo.results.store import PolicyRecord, flat
+from izoo.results.store import PolicyRecord, check_same
 from izoo.training import checkpoint, loggers, plots, run_folder
 from izoo.training.baseline_episodes import BaselineComparison
 from izoo.training.batch_statistics import READS, episode_stats, unused_slots
@@ -106,14 +106,11 @@ def _room(run_dir: Path) -> Iterator[None]:
 def _to_resume(config: TrainConfig, run_dir: Path, path: Path | None) -> dict[str, Any] | None:
     """Check and write the options with which a run goes on, and return the state of its checkpoint."""
     stored = run_folder.read_config(run_dir)
-    own, given = (flat(to_mapping(each)) for each in (stored, config))
-    changed = [name for name in own | given if own.get(name) != given.get(name)]
-    for name in changed:
-        if name.split(".")[0] not in (*CHANGEABLE, "run_dir"):
-            raise IzooError(
-                f"{name} differs from that of {run_dir}; a resumed run keeps its own options "
-                f"(izoo.training.run_folder.resumed returns them) but for {', '.join(CHANGEABLE)}."
-            )
+    kept = [
+        {name: value for name, value in to_mapping(each).items() if name not in (*CHANGEABLE, "run_dir")}
+        for each in (stored, config)
+    ]
+    check_same(*kept, f"a resumed run keeps its options (run_folder.resumed gives them), but {run_dir} was begun")
     state = None if path is None else checkpoint.load(path)
     # The last batch of a run that is done may have gone beyond its frames.
     if state is not None and config.total_frames < min(stored.total_frames, state["frames"]):
