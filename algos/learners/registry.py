@@ -192,12 +192,13 @@ def make_algorithm(
     """
     import torch
 
+    from izoo.algos.actions.action_modes import ArriveAction, SpeedAction
     from izoo.algos.actions.action_wrappers import ExecutedAcceleration, ExecutedActions, TransformedAlgorithm
     from izoo.algos.drivers.by_name import make_driver
     from izoo.envs.mdp.frame import observation_names
 
-    if hasattr(action, "initial"):
-        values = {"initial_accel_mps2": action.initial, "initial_spread": action.spread}
+    if isinstance(action, (SpeedAction, ArriveAction)):
+        values: dict[str, Any] = {"initial_accel_mps2": action.initial, "initial_spread": action.spread}
         algo = dataclasses.replace(algo, **{name: value for name, value in values.items() if hasattr(algo, name)})
     space, transform = action.space(env), action.transform(env)
     told = {"env": env} if algo.needs_env else {}

@@ -106,11 +106,11 @@ def _room(run_dir: Path) -> Iterator[None]:
 def _to_resume(config: TrainConfig, run_dir: Path, path: Path | None) -> dict[str, Any] | None:
     """Check and write the options with which a run goes on, and return the state of its checkpoint."""
     stored = run_folder.read_config(run_dir)
-    kept = [
+    own, given = (
         {name: value for name, value in to_mapping(each).items() if name not in (*CHANGEABLE, "run_dir")}
         for each in (stored, config)
-    ]
-    check_same(*kept, f"a resumed run keeps its options (run_folder.resumed gives them), but {run_dir} was begun")
+    )
+    check_same(own, given, f"a resumed run keeps its options (run_folder.resumed gives them), but {run_dir} was begun")
     state = None if path is None else checkpoint.load(path)
     # The last batch of a run that is done may have gone beyond its frames.
     if state is not None and config.total_frames < min(stored.total_frames, state["frames"]):
