@@ -21,8 +21,8 @@ from izoo.cli.calibrate import check_packages
 from izoo.cli.option_command import GOES_ON, OptionCommand
 from izoo.contexts.population import IDM_PARAMETERS, DriverPopulation
 from izoo.envs.model_version import MODEL_VERSION
-from izoo.errors import CheckedOptions
 from izoo.files import make_absolute
+from izoo.options import CheckedOptions
 from izoo.results.rows_file import Key, Row, RowsFile
 
 LIMIT_MPS = 16.0

@@ -20,7 +20,8 @@ from izoo.algos.actions.action_wrappers import SpeedCap
 from izoo.envs import RewardConfig, TwinEnv
 from izoo.envs.config import ACTION_LOW_MPS2, EnvConfig
 from izoo.envs.mdp.frame import observation_names
-from izoo.errors import CheckedOptions, IzooError, check_range
+from izoo.errors import IzooError, check_range
+from izoo.options import CheckedOptions
 from izoo.results.rollout import evaluated
 
 PLANNER = "planner"

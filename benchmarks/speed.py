@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Literal
 from izoo.cli.option_command import OptionCommand
 from izoo.console import Progress
 from izoo.cores import usable_cores
-from izoo.errors import check_range, check_types
+from izoo.errors import check_range
+from izoo.options import CheckedOptions
 
 if TYPE_CHECKING:
     from izoo.benchmarks.timing.rows import Row
@@ -37,7 +38,7 @@ Scenario = Literal["two_lanes", "light", "medium", "heavy"]
 
 
 @dataclass(frozen=True)
-class SpeedConfig:
+class SpeedConfig(CheckedOptions):
     """Options of the speed benchmark.
 
     Attributes:
@@ -66,7 +67,7 @@ class SpeedConfig:
     machine: bool = False
 
     def __post_init__(self) -> None:
-        check_types("", self)
+        super().__post_init__()
         for count in self.envs:
             check_range("envs", count, 1, 65536)
         for count in self.threads:

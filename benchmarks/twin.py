@@ -26,9 +26,10 @@ from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
 from izoo.conf.evaluate_options import EPISODE_RANGES, check_policy
 from izoo.envs.config import EnvConfig
-from izoo.errors import CheckedOptions, IzooError, check_choice, check_range
+from izoo.errors import IzooError, check_choice, check_range
 from izoo.files import make_absolute
 from izoo.metrics.pairing import HUMAN
+from izoo.options import CheckedOptions
 from izoo.zoo import catalog
 
 if TYPE_CHECKING:

@@ -9,7 +9,8 @@ from types import MappingProxyType
 from izoo.contexts.features import OBSERVED, check_observed
 from izoo.envs.mdp.observation import NEIGHBOURS
 from izoo.envs.mdp.reward import RewardConfig
-from izoo.errors import CheckedOptions, IzooError, check_choice, check_range
+from izoo.errors import IzooError, check_choice, check_range
+from izoo.options import CheckedOptions
 
 __all__ = ["EnvConfig", "RewardConfig"]
 ACTION_LOW_MPS2, ACTION_HIGH_MPS2 = -4.5, 2.6

@@ -19,6 +19,7 @@ SIMULATOR = {"libsumo", "traci"}
 
 FLOORS = (
     {"errors", "cores"},
+    {"options"},
     {"files", "console", "gpu", "imports", "processes"},
     {"compiling", "user_key"},
     {"metrics", "emissions"},
@@ -138,7 +139,7 @@ def test_every_room_has_a_floor() -> None:
         (violations, "izoo.metrics.figures", "from izoo.contexts.context import Context"),
         (violations, "izoo.envs.env", "def late():\n    from izoo.algos.learners.ppo import PPO"),
         (violations, "izoo.algos.learners.ppo", "from ...conf import mapping"),
-        (violations, "izoo.cli.compose", "import izoo.benchmarks.campaign.jobs"),
+        (violations, "izoo.cli.option_command", "import izoo.benchmarks.campaign.jobs"),
         (violations, "izoo.new_room.thing", "from izoo import errors"),
         (env_violations, "izoo.envs.mdp.reward", "from izoo.envs.sumo.session import Session"),
         (env_violations, "izoo.envs.backend", "from izoo.envs.twin import state"),

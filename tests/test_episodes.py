@@ -29,5 +29,5 @@ def test_a_lost_episode_is_not_logged() -> None:
 
 @pytest.mark.parametrize(("most", "slots", "enough"), [(2, 64, 4), (5, 64, 16), (16, 64, 32), (17, 64, 0), (0, 64, 0)])
 def test_a_size_is_suggested_where_most_slots_stay_empty(most: int, slots: int, enough: int) -> None:
-    words = unused_slots(most, slots)
+    words = unused_slots([0.0, most], slots)
     assert (f"env.num_agents={enough} " in words) == bool(enough) and bool(words) == bool(enough)

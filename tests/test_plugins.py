@@ -14,7 +14,7 @@ import pytest
 from izoo import evaluate, train
 from izoo.algos.learners import registry
 from izoo.algos.learners.ppo import PPOConfig
-from izoo.cli.compose import compose_config
+from izoo.cli.option_command import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from izoo.imports import imported

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -18,14 +17,11 @@ from izoo.envs.config import (
     STOP,
     EnvConfig,
 )
-from izoo.errors import CheckedOptions, check_range
+from izoo.errors import check_range
+from izoo.options import CheckedOptions
 
 if TYPE_CHECKING:
     from izoo.algos.actions.action_wrappers import ActionTransform
-    from izoo.algos.learners.base import Algorithm
-
-Build = Callable[..., "Algorithm"]
-"""Builds an algorithm from its options, the length of an observation and an :class:`ActionSpace`."""
 
 SPREADS = (0.02, 10.0)
 """Least and most standard deviation of an untrained normal policy. Networks keep theirs above 0.01
@@ -111,26 +107,6 @@ class ActionMode(CheckedOptions):
     def transform(self, env: EnvConfig) -> ActionTransform | None:
         """Return what turns them into commands; ``None``: they are commands."""
         return None
-
-    def algorithm(self, build: Build, config: Any, features: int, env: EnvConfig) -> Algorithm:
-        """Return the algorithm that ``build`` makes, with its actions transformed, learning from executed ones if it
-        asks for that."""
-        from izoo.algos.actions.action_wrappers import ExecutedAcceleration, ExecutedActions, TransformedAlgorithm
-        from izoo.algos.drivers.by_name import make_driver
-
-        if hasattr(self, "initial"):
-            values = {"initial_accel_mps2": self.initial, "initial_spread": self.spread}  # type: ignore[attr-defined]
-            own = {name: value for name, value in values.items() if hasattr(config, name)}
-            config = dataclasses.replace(config, **own)
-        space, transform = self.space(env), self.transform(env)
-        learned = build(config, features, space)
-        replays = getattr(config, "stores", "commanded") == "applied" and env.action != SPEED
-        executed = ExecutedAcceleration(env) if replays else None
-        if transform is None:
-            return learned if executed is None else ExecutedActions(learned, executed)
-        expert = getattr(config, "warm_start", "none")
-        driver = None if expert == "none" else make_driver(expert, env)
-        return TransformedAlgorithm(learned, transform, space.high, expert=driver, executed=executed)
 
 
 @dataclass(frozen=True)

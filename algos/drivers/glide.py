@@ -10,7 +10,7 @@ from torch import Tensor
 from izoo.algos.drivers.base import ScriptedDriver
 from izoo.algos.drivers.observed import Observed
 from izoo.envs.config import ACTION_LOW_MPS2, EnvConfig
-from izoo.errors import CheckedOptions
+from izoo.options import CheckedOptions
 
 
 @dataclass(frozen=True)

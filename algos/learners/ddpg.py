@@ -27,7 +27,8 @@ from izoo.algos.losses import MaskedDDPGLoss
 from izoo.algos.networks import compiled_mlp
 from izoo.algos.networks.set_networks import spread_out
 from izoo.envs.config import SPEED
-from izoo.errors import Ranges, check_range
+from izoo.errors import check_range
+from izoo.options import Ranges
 
 
 @dataclass(frozen=True)

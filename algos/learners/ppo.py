@@ -28,7 +28,8 @@ from izoo.algos.networks.gaussian import CompiledPolicy, SamplingPolicy, normal_
 from izoo.algos.networks.masking import is_set_module
 from izoo.envs import REFERENCE
 from izoo.envs.config import BY_STEP, RewardConfig
-from izoo.errors import IzooError, Ranges
+from izoo.errors import IzooError
+from izoo.options import Ranges
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -6,15 +6,16 @@ Nothing here loads PyTorch: an algorithm's module is imported once its options, 
 from __future__ import annotations
 
 import dataclasses
-import functools
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from izoo.envs import COMPILED
-from izoo.errors import CheckedOptions, IzooError, Ranges, unknown_choice
+from izoo.envs.config import SPEED
+from izoo.errors import IzooError, unknown_choice
 from izoo.imports import imported
+from izoo.options import CheckedOptions, Ranges
 
 if TYPE_CHECKING:
     import torch
@@ -70,6 +71,11 @@ class AlgoConfig(CheckedOptions):
     """Whether it estimates advantages, which say how much a context still teaches."""
     runs: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     """Options of the run that go with a preset, by its name: how it acts, what it sees, how long it learns."""
+
+    @classmethod
+    def class_of(cls, name: str) -> type[AlgoConfig]:
+        """Return the class of the hyper-parameters of an algorithm; see :func:`algorithm_class`."""
+        return getattr(algorithm_class(name), "options", AlgoConfig)
 
     @property
     def candidates(self) -> int:
@@ -157,22 +163,18 @@ def algorithm_class(name: str) -> Any:
     return imported("algo", ALGORITHMS[name].place if name in ALGORITHMS else name)
 
 
-def options_class(name: str) -> type[AlgoConfig]:
-    """Return the class of the hyper-parameters of an algorithm; see :func:`algorithm_class`."""
-    return getattr(algorithm_class(name), "options", AlgoConfig)
-
-
 def preset(choice: str) -> AlgoConfig:
     """Return the hyper-parameters that a choice of ``algo=`` stands for: see :func:`choices`, or ``module:Class``."""
     name, made = _split(choice)
-    config = getattr(options_class(name), made)() if made else options_class(name)()
+    options = AlgoConfig.class_of(name)
+    config = getattr(options, made)() if made else options()
     return config if name in ALGORITHMS else dataclasses.replace(config, name=name)
 
 
 def run_options(choice: str) -> Mapping[str, Any]:
     """Return the options of a run that go with a choice of ``algo=``, by group and name."""
     name, made = _split(choice)
-    return options_class(name).runs.get(made, {}) if made else {}
+    return AlgoConfig.class_of(name).runs.get(made, {}) if made else {}
 
 
 def _split(choice: str) -> tuple[str, str]:
@@ -184,16 +186,32 @@ def _split(choice: str) -> tuple[str, str]:
 def make_algorithm(
     algo: AlgoConfig, action: ActionConfig, env: EnvConfig, device: torch.device | str = "cpu"
 ) -> Algorithm:
-    """Build the algorithm of the options ``algo`` and ``action`` for what ``env`` lets it observe, on ``device``."""
+    """Build the algorithm of the options ``algo`` for what ``env`` lets it observe, on ``device``.
+
+    Its actions are transformed as ``action`` says, and it learns from executed ones if it asks for that.
+    """
     import torch
 
+    from izoo.algos.actions.action_modes import ArriveAction, SpeedAction
+    from izoo.algos.actions.action_wrappers import ExecutedAcceleration, ExecutedActions, TransformedAlgorithm
+    from izoo.algos.drivers.by_name import make_driver
     from izoo.envs.mdp.frame import observation_names
 
+    if isinstance(action, (SpeedAction, ArriveAction)):
+        values: dict[str, Any] = {"initial_accel_mps2": action.initial, "initial_spread": action.spread}
+        algo = dataclasses.replace(algo, **{name: value for name, value in values.items() if hasattr(algo, name)})
+    space, transform = action.space(env), action.transform(env)
     told = {"env": env} if algo.needs_env else {}
-    build = functools.partial(algorithm_class(algo.name), device=device, **told)
     before = torch.get_default_dtype()
     torch.set_default_dtype(torch.float32)  # that of observations
     try:
-        return action.algorithm(build, algo, len(observation_names(env)), env)
+        learned = algorithm_class(algo.name)(algo, len(observation_names(env)), space, device=device, **told)
+        replays = getattr(algo, "stores", "commanded") == "applied" and env.action != SPEED
+        executed = ExecutedAcceleration(env) if replays else None
+        if transform is None:
+            return learned if executed is None else ExecutedActions(learned, executed)
+        expert = getattr(algo, "warm_start", "none")
+        driver = None if expert == "none" else make_driver(expert, env)
+        return TransformedAlgorithm(learned, transform, space.high, expert=driver, executed=executed)
     finally:
         torch.set_default_dtype(before)

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from izoo.cli.option_command import GOES_ON, OptionCommand
-from izoo.errors import CheckedOptions
 from izoo.files import make_absolute
+from izoo.options import CheckedOptions
 
 TABLES_FILE = "tables.md"
 

@@ -13,10 +13,10 @@ from typing import Any, Literal
 import yaml
 
 from izoo.conf.evaluate_options import check_policy
-from izoo.conf.mapping import from_mapping
 from izoo.envs import SIMULATORS
-from izoo.errors import CheckedOptions, IzooError, check_choice, unknown_choice
+from izoo.errors import IzooError, check_choice, unknown_choice
 from izoo.files import expanded, read_text
+from izoo.options import CheckedOptions, from_mapping
 from izoo.report.plots import UNTRAINED
 from izoo.zoo import catalog
 

@@ -21,9 +21,7 @@ from izoo.benchmarks import planner
 from izoo.benchmarks.campaign.experiment import Entry, Experiment
 from izoo.benchmarks.campaign.parallel_training import ParallelRuns
 from izoo.benchmarks.campaign.training_runs import TrainingRuns
-from izoo.cli.compose import compose_config
-from izoo.conf.mapping import from_mapping
-from izoo.conf.quoting import written
+from izoo.cli.option_command import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import ContextList
 from izoo.cores import usable_cores
@@ -31,6 +29,7 @@ from izoo.envs import REFERENCE, SIMULATORS
 from izoo.envs.config import EnvConfig
 from izoo.metrics.pairing import BASELINES
 from izoo.metrics.summary import TRAINING
+from izoo.options import from_mapping, written
 from izoo.report.plots import UNTRAINED
 from izoo.report.report_data import TRAIN_FOLDER
 from izoo.results.policies import as_policy

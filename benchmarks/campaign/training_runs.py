@@ -9,9 +9,9 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from izoo.benchmarks.campaign.parallel_training import ParallelRuns
-from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import CHANGEABLE, TrainConfig
 from izoo.console import Progress, counted
+from izoo.options import to_mapping
 from izoo.report.report_data import TRAIN_FOLDER
 from izoo.results.store import check_same
 from izoo.training import checkpoint, run_folder

@@ -17,6 +17,7 @@ import numpy as np
 import torch
 
 from izoo.algos.learners.ppo import PPOConfig
+from izoo.algos.learners.registry import make_algorithm
 from izoo.benchmarks.timing.clocks import Timed, timed
 from izoo.conf.train_options import TrainConfig, TrainingTwinConfig
 from izoo.contexts.context import Context
@@ -148,7 +149,8 @@ def training(context: Context, seconds: float, envs: int, threads: int, surrogat
     """Collection and updates of PPO, together."""
     length, cores = 32, torch.get_num_threads()
     config = _on_twin(envs, length, threads, surrogate)
-    learner = Learner(config, learner_device(device))
+    where = learner_device(device)
+    learner = Learner(make_algorithm(config.algo, config.action, config.env, where), config, where)
     parts: dict[str, list[float]] = {"collect": [], "update": []}
     agents: list[float] = []
     with contextlib.closing(BatchSource(config, learner.policy, Seeds(context))) as source:
@@ -271,9 +273,9 @@ def _stepped(name: str, env: Any, state: Any, seconds: float, backend: Any) -> R
 
 
 def _collected(name: str, config: TrainConfig, context: Context, envs: int, length: int, seconds: float) -> Row:
-    learner = Learner(config, torch.device("cpu"))
+    policy = make_algorithm(config.algo, config.action, config.env).policy
     agents: list[float] = []
-    with contextlib.closing(BatchSource(config, learner.policy, Seeds(context))) as source:
+    with contextlib.closing(BatchSource(config, policy, Seeds(context))) as source:
         last: Any = None
 
         def batch() -> None:

@@ -12,7 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from izoo.errors import CheckedOptions, IzooError
+from izoo.errors import IzooError
+from izoo.options import CheckedOptions
 
 TTC_CAP_S = 10.0
 _TERM = "reward term"

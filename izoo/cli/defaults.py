@@ -8,11 +8,11 @@ from typing import Any
 
 from izoo import tasks, zoo
 from izoo.algos.learners.registry import DRIVER_NAMES
-from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import BY_STEP, EnvConfig
 from izoo.errors import IzooError
 from izoo.files import expanded
+from izoo.options import to_mapping
 from izoo.zoo import catalog
 
 

@@ -10,13 +10,12 @@ from pathlib import Path
 
 from izoo import tasks
 from izoo.conf.evaluate_options import EvaluateConfig
-from izoo.conf.mapping import to_mapping
-from izoo.conf.quoting import written
 from izoo.console import counted
 from izoo.contexts.context import Context
 from izoo.envs import REFERENCE, simulator_of
 from izoo.errors import IzooError
 from izoo.metrics.summary import summarise
+from izoo.options import to_mapping, written
 from izoo.report.leaderboard import write_entries
 from izoo.report.tables import print_summary
 from izoo.results.policies import NamedPolicy

@@ -11,36 +11,36 @@ from typing import TYPE_CHECKING, Any
 
 from izoo import tasks
 from izoo.conf.choices import TAKES_OWN, groups
-from izoo.conf.mapping import to_mapping
-from izoo.conf.quoting import written
+from izoo.options import to_mapping, written
 
 if TYPE_CHECKING:
     from izoo.cli.option_command import OptionCommand
 
-HELP_WIDTH = 110
+FLAGS = """
+Flags:
+  -h, --help      this page; of other choices' options too, as in --help algo=ddpg
+  -m, --multirun  run once for each combination of comma-separated values, as in seed=0,1,2
+  --cfg           print the resolved options and stop; with -m, those of every combination"""
+ATTRIBUTE = re.compile(r"^    (\w+(?:, \w+)*): (.*(?:\n {8}.*)*)", re.MULTILINE)
 
 
 def overview(command: OptionCommand) -> str:
     """Return the first part of a help page, which takes no PyTorch: usage, examples, choices and tasks."""
     cls, place = command.config_class(), f" {command.place.upper()}" if command.place else ""
     lines = [command.summary, "", f"Usage: python -m izoo.{command.name}{place} [option=value ...]", "", "Examples:"]
-    lines += [f"  python -m {example}" for example in command.examples]
-    lines += [
-        *("", "Flags:"),
-        "  -h, --help      this page; of other choices' options too, as in --help algo=ddpg",
-        "  -m, --multirun  run once for each combination of comma-separated values, as in seed=0,1,2",
-        "  --cfg           print the resolved options and stop; with -m, those of every combination",
-    ]
+    lines += [*(f"  python -m {example}" for example in command.examples), FLAGS]
     own = {field.name for field in dataclasses.fields(cls)}
-    chosen = {group: names for group, names in groups().items() if group.partition(".")[0] in own}
+    chosen = {group: [*names] for group, names in groups().items() if group.partition(".")[0] in own}
     if chosen:
         lines += ["", "Choices:"]
-        lines += [
-            f"  {group}={' | '.join([*names, *(['module:name'] if group in TAKES_OWN else [])])}"
-            for group, names in chosen.items()
-        ]
+    for group, names in chosen.items():
+        lines.append(f"  {group}={' | '.join(names + ['module:name'] * (group in TAKES_OWN))}")
     if hasattr(cls, "role"):
-        lines += ["", "Tasks, or module:NAME; what is known to learn there in brackets:", *_tasks()]
+        lines += ["", "Tasks, or module:NAME; what is known to learn there in brackets:"]
+        for name, task in tasks.tasks().items():
+            if not name.endswith(tasks.PAPER):
+                lines += _wrapped(f"  task={name}: {task.about} [{task.learns}]")
+        lines += _wrapped(f"  task=NAME{tasks.PAPER}: any of these as in the paper: its decisions and reward.")
     return "\n".join(lines)
 
 
@@ -49,15 +49,8 @@ def options(config: Any) -> str:
     return "\n".join(["", "Options, with their defaults:", *_describe(config, "")])
 
 
-def _tasks() -> Iterator[str]:
-    for name, task in tasks.tasks().items():
-        if not name.endswith(tasks.PAPER):
-            yield from _wrapped(f"task={name}: {task.about} [{task.learns}]", 2, 6)
-    yield from _wrapped(f"task=NAME{tasks.PAPER}: any of these as in the paper: its decisions and reward.", 2, 6)
-
-
-def _wrapped(text: str, first: int, further: int) -> list[str]:
-    return textwrap.wrap(text, HELP_WIDTH, initial_indent=" " * first, subsequent_indent=" " * further)
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(text, 110, subsequent_indent="      ")
 
 
 def _describe(config: Any, prefix: str) -> Iterator[str]:
@@ -68,7 +61,7 @@ def _describe(config: Any, prefix: str) -> Iterator[str]:
     for name, value in values.items():
         if name not in nested and (name != "name" or not prefix):
             yield f"  {prefix}{name}={written(to_mapping(value))}"
-            yield from _wrapped(meanings.get(name, ""), 6, 6)
+            yield from _wrapped(f"      {meanings.get(name, '')}")
     for name, value in nested.items():
         yield from ("", f"{prefix}{name}{f'={value.name}' if hasattr(value, 'name') else ''}:")
         yield from _describe(value, f"{prefix}{name}.")
@@ -82,23 +75,10 @@ def attribute_docs(owner: type) -> dict[str, str]:
     """
     docs: dict[str, str] = {}
     for part in reversed(owner.__mro__[:-1]):
-        docs.update(_section(inspect.cleandoc(part.__doc__ or "")))
+        section = inspect.cleandoc(part.__doc__ or "").partition("Attributes:\n")[2].partition("\n\n")[0]
+        for names, text in ATTRIBUTE.findall(section):
+            # "null" is what can be typed where Python says None.
+            meaning = " ".join(text.split()).replace("``None``", "null").replace("``", "")
+            docs |= dict.fromkeys(names.split(", "), meaning)
     fields = dataclasses.fields(owner) if dataclasses.is_dataclass(owner) else ()
     return docs | {field.name: field.metadata["help"] for field in fields if "help" in field.metadata}
-
-
-def _section(text: str) -> dict[str, str]:
-    _, _, section = text.partition("Attributes:\n")
-    docs: dict[str, str] = {}
-    names: list[str] = []
-    for line in section.splitlines():
-        head = re.match(r"    (\w+(?:, \w+)*): (.*)", line)
-        if head:
-            names = [name.strip() for name in head.group(1).split(",")]
-            docs.update({name: head.group(2) for name in names})
-        elif names and line.startswith("        "):
-            docs.update({name: f"{docs[name]} {line.strip()}" for name in names})
-        elif line.strip():
-            break
-    # "null" is what can be typed where Python says None.
-    return {name: doc.replace("``None``", "null").replace("``", "") for name, doc in docs.items()}

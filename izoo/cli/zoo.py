@@ -9,10 +9,10 @@ from typing import Any
 
 from izoo import __version__
 from izoo.cli.subcommands import SubcommandCommand, argument
-from izoo.conf.quoting import written
 from izoo.console import survives_lost_output
 from izoo.errors import IzooError
 from izoo.files import check_folder, write_text
+from izoo.options import written
 from izoo.zoo import catalog
 
 LOCAL_PATHS = ("path", "drivers", "start")
@@ -96,9 +96,9 @@ def _card(name: str, config: Any, frames: int, evaluation: Path | None) -> str:
 
 def _changed(config: Any) -> list[str]:
     """Return the options of a run that are not the defaults, as they are written on a command line."""
-    from izoo.cli.compose import compose_config
-    from izoo.conf.mapping import to_mapping
+    from izoo.cli.option_command import compose_config
     from izoo.conf.train_options import TrainConfig
+    from izoo.options import to_mapping
 
     words = [] if config.task is None else [f"task={config.task}"]
     words += [f"{group}={getattr(config, group).name}" for group in ("algo", "action", "contexts")]

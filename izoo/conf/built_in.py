@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,7 +16,6 @@ Season = Literal["winter", "spring", "summer", "fall"]
 Hour = Literal["peak", "off-peak"]
 Engine = Literal["combustion", "electric"]
 Split = Literal["train", "validation", "test", "all"]
-LAST_ID = catalogue.SIZE - 1
 
 
 @dataclass(frozen=True)
@@ -84,12 +84,11 @@ class CatalogueContexts(SourceConfig):
 
 def _range(item: int | str) -> range:
     low, dots, high = str(item).partition("..")
-    try:
-        first, last = int(low), int(high if dots else low)
-    except ValueError:
-        raise IzooError(f"contexts.ids has {item!r}; give an id, or a range of ids like 100..199.") from None
-    if not (0 <= first <= LAST_ID and 0 <= last <= LAST_ID):
-        raise IzooError(f"contexts.ids has {item!r}; ids go from 0 to {LAST_ID}.")
-    if first > last:
-        raise IzooError(f"contexts.ids has the range {item}, which is upside down; its low end must come first.")
-    return range(first, last + 1)
+    with contextlib.suppress(ValueError):
+        found = range(int(low), int(high if dots else low) + 1)
+        if found and found[0] >= 0 and found[-1] < catalogue.SIZE:
+            return found
+    raise IzooError(
+        f"contexts.ids has {item!r}; give an id from 0 to {catalogue.SIZE - 1}, or a range with its low end first, "
+        "like 100..199."
+    )

@@ -22,6 +22,7 @@ from izoo.contexts.procedural import (
 from izoo.contexts.source import ContextList, ContextSource, MixedSource
 from izoo.errors import IzooError, check_choice
 from izoo.imports import imported
+from izoo.options import CheckedOptions
 
 PRESETS = {
     "systematicity_train": SYSTEMATICITY_TRAIN,
@@ -110,7 +111,7 @@ SingleContextsConfig: TypeAlias = PcgContexts | CityContexts | CatalogueContexts
 
 
 @dataclass(frozen=True)
-class MixedContexts:
+class MixedContexts(CheckedOptions):
     """Several sets of contexts at once: every episode draws the set first, each as likely, then a context of it.
 
     Attributes:
@@ -121,14 +122,13 @@ class MixedContexts:
 
     name: Literal["mixed"] = "mixed"
     sources: list[SingleContextsConfig] = field(default_factory=list)
+    group = "contexts"
 
     def build(self) -> ContextSource:
         """Return the mixture; raises :class:`IzooError` where there are too few sources, or one cannot be built."""
-        is_list = isinstance(self.sources, list)
-        if not is_list or len(self.sources) < 2:
-            found = f"has {len(self.sources)} entries" if is_list else f"is {self.sources!r}"
+        if len(self.sources) < 2:
             raise IzooError(
-                f"contexts.sources {found}; contexts=mixed needs two or more, like "
+                f"contexts.sources has {len(self.sources)} entries; contexts=mixed needs two or more, like "
                 "[{name:dataset,path:DIR,split:train},{name:city,city:atlanta,split:train}]."
             )
         return MixedSource([source.build() for source in self.sources])

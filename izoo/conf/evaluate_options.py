@@ -11,8 +11,9 @@ from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig
 from izoo.envs import REFERENCE, simulator_of
 from izoo.envs.config import EnvConfig
-from izoo.errors import CheckedOptions, IzooError, check_choice
+from izoo.errors import IzooError, check_choice
 from izoo.files import expanded, make_absolute
+from izoo.options import CheckedOptions
 
 DRAIN_S = 600.0
 """How long evaluated episodes are played out after their horizon, at most."""

@@ -8,8 +8,9 @@ from typing import Any
 from izoo.contexts.context import checked_fleet
 from izoo.contexts.population import read_population
 from izoo.contexts.source import ContextSource, with_changes
-from izoo.errors import CheckedOptions, IzooError
+from izoo.errors import IzooError
 from izoo.files import make_absolute
+from izoo.options import CheckedOptions
 
 
 @dataclass(frozen=True)

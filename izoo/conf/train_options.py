@@ -13,8 +13,9 @@ from izoo.conf.built_in import CityContexts
 from izoo.conf.context_choices import ContextsConfig, PcgContexts
 from izoo.envs import REFERENCE, simulator_of
 from izoo.envs.config import SPEED, STEP, EnvConfig
-from izoo.errors import CheckedOptions, IzooError, Ranges
+from izoo.errors import IzooError
 from izoo.files import make_absolute
+from izoo.options import CheckedOptions, Ranges
 
 TWIN_ENVS = 64
 """Environments on the twin where nothing is said."""
@@ -265,12 +266,14 @@ class TrainConfig(RolloutConfig):
                 f"collector={self.collector} is a way to step environments in processes; with simulator="
                 f"{self.simulator} leave collector out, and set num_envs."
             )
-        self._fit_action()
+        if not self.action.commands and self.env.action == SPEED:
+            raise IzooError(
+                f"env.action=speed takes desired speeds, but the policy's actions are those of action="
+                f"{self.action.name}; choose action=speed or arrive, or env.action=acceleration."
+            )
+        emit = tuple(dict.fromkeys((*self.env.emit, *self.algo.emits)))
+        object.__setattr__(self, "env", dataclasses.replace(self.env, emit=emit, **self.action.commands))
         self.algo.check_run(self)
-        for group in self.algo.emits:
-            if group not in self.env.emit:
-                emit = (*self.env.emit, group)
-                object.__setattr__(self, "env", dataclasses.replace(self.env, emit=emit))
         if self.levels.draw == "prioritised" and not simulator.saves:
             raise IzooError(
                 f"levels.draw=prioritised saves its place with the simulator, which {simulator.label} cannot; choose "
@@ -298,16 +301,6 @@ class TrainConfig(RolloutConfig):
         """How many of the first episodes begin at random phases."""
         by_step = self.env.decide == STEP and self.algo.candidates == 1
         return self.environments if simulator_of(self.simulator).saves and self.twin.stagger and by_step else 0
-
-    def _fit_action(self) -> None:
-        """Let the environment take what the policy's actions stand for."""
-        if self.action.commands:
-            object.__setattr__(self, "env", dataclasses.replace(self.env, **self.action.commands))
-        elif self.env.action == SPEED:
-            raise IzooError(
-                f"env.action=speed takes desired speeds, but the policy's actions are those of action="
-                f"{self.action.name}; choose action=speed or arrive, or env.action=acceleration."
-            )
 
 
 @dataclass(frozen=True)

@@ -25,12 +25,11 @@ from izoo import tasks
 from izoo.cli.help_page import attribute_docs
 from izoo.cli.option_command import OptionCommand
 from izoo.conf.choices import groups
-from izoo.conf.mapping import to_mapping
-from izoo.conf.quoting import written
 from izoo.envs.config import EnvConfig, RewardConfig
 from izoo.envs.mdp.observation import observation_columns
 from izoo.envs.mdp.reward import TERMS
 from izoo.errors import unknown_choice
+from izoo.options import to_mapping, written
 
 FOLDER = Path(__file__).resolve().parent
 ROOT = FOLDER.parent.parent

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from izoo.cli.option_command import OptionCommand
-from izoo.errors import CheckedOptions, IzooError
+from izoo.errors import IzooError
 from izoo.files import make_absolute
+from izoo.options import CheckedOptions
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,9 @@ def report(config: ReportConfig) -> Path:
     """
     from izoo.report import page, sweeps
 
-    folder = Path(str(config.results))
+    if config.results is None:
+        raise IzooError("give one folder: python -m izoo.report FOLDER.")
+    folder = Path(config.results)
     if not sweeps.is_sweep(folder):
         options = {name: value for name, value in vars(config).items() if name not in ("results", "out")}
         out = None if config.out is None else Path(config.out)

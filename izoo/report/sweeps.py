@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from izoo.conf.mapping import to_mapping
 from izoo.errors import IzooError
 from izoo.files import check_folder, write_text
 from izoo.metrics.cell import Cell
@@ -18,6 +17,7 @@ from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import UNCOMMANDED
 from izoo.metrics.summary import summarise
 from izoo.networks.dataset.intersections import natural_key
+from izoo.options import to_mapping
 from izoo.report.tables import SAVED, Table, compared
 from izoo.results.store import MANIFEST_FILE, ROWS_FILE, flat, read_table
 from izoo.training import plots, run_folder

@@ -17,7 +17,6 @@ from typing import Any, Literal
 import pandas as pd
 
 import izoo
-from izoo.conf.mapping import from_mapping
 from izoo.contexts.context import Context
 from izoo.contexts.population import DriverPopulation
 from izoo.contexts.spec import spec_from_dict
@@ -26,6 +25,7 @@ from izoo.envs.mdp.metric_sums import MOVEMENT_METRICS
 from izoo.envs.model_version import MODEL_VERSION
 from izoo.errors import IzooError, check_line
 from izoo.files import MOST_UNPACKED_BYTES, claimed, read_bytes, read_text, reading, unpacked, write_bytes, write_json
+from izoo.options import from_mapping
 from izoo.results.rows_file import Row, RowsFile
 from izoo.results.schema import COLUMNS, EPISODE, TEXT, WHOLE, make_table
 

@@ -26,7 +26,7 @@ from izoo.algos.learners.mappo import TEAM_BASELINE
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import Schedule
 from izoo.cores import usable_cores
-from izoo.envs.config import STEP, EnvConfig
+from izoo.envs.config import STEP
 from izoo.envs.mdp.frame import TEAM_REWARD, TOTALS
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS
 from izoo.metrics.figures import FIGURES
@@ -113,17 +113,6 @@ class BaselineSchedule:
         return [Play(self.driver, 0, *self.schedule(number)) for number in numbers]
 
 
-def _by_step(env: EnvConfig) -> EnvConfig:
-    """Return the environment of uncommanded episodes, which are simulated as in ``env``.
-
-    Where CVs do not decide in every step, it gives their rewards every :data:`REWARD_EVERY_S`.
-    """
-    if env.decide == STEP:
-        return env
-    hold_s = max(round(REWARD_EVERY_S / env.step_s), 1) * env.step_s
-    return env.with_accelerations(hold_s)
-
-
 class BaselineComparison:
     """Compares batches with their baseline episodes, and adds what a control variate needs of them.
 
@@ -144,7 +133,9 @@ class BaselineComparison:
         self._level, self._in_order = level or int, level is None
         self.every, self._skipped, self._envs = config.twin.compare_every, config.staggered, config.environments
         by_step = config.env.decide == STEP
-        env, twin = _by_step(config.env), config.twin
+        env, twin = config.env, config.twin
+        if not by_step:
+            env = env.with_accelerations(max(round(REWARD_EVERY_S / env.step_s), 1) * env.step_s)
         self.hold_steps = env.hold_steps
         self.gamma: float = getattr(config.algo, "gamma", 1.0) if by_step else 1.0
         self.variate = config.algo.variate

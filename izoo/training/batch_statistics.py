@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from tensordict import TensorDictBase
 
 from izoo.algos.learners.base import MASK, REWARD
@@ -65,9 +67,10 @@ def episode_stats(batch: TensorDictBase, partial: int = 0) -> dict[str, float]:
     return stats
 
 
-def unused_slots(most_agents: int, slots: int) -> str:
+def unused_slots(in_use: Sequence[float], slots: int) -> str:
     """Say how many agent slots were in use at once, and what would do, where most of them never were; else nothing."""
-    enough = max(4, 2 ** (2 * most_agents - 1).bit_length())
-    if not 0 < most_agents <= enough <= slots // 2:
+    most = int(max(in_use, default=0))
+    enough = max(4, 2 ** (2 * most - 1).bit_length())
+    if not 0 < most <= enough <= slots // 2:
         return ""
-    return f"At most {most_agents} of {slots} agent slots were in use at once; env.num_agents={enough} saves memory."
+    return f"At most {most} of {slots} agent slots were in use at once; env.num_agents={enough} saves memory."

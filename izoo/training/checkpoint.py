@@ -14,8 +14,7 @@ from izoo.errors import IzooError
 from izoo.files import check_parts, reading, replacing
 
 FORMAT = "izoo-checkpoint-4"
-_NAME = re.compile(r"step-(\d+)\.pt")
-_CANDIDATE = re.compile(r"candidate-(\d+)\.pt")
+_NAME = re.compile(r"(?:step|candidate)-(\d+)\.pt")
 BEST = "best.pt"
 
 
@@ -60,8 +59,7 @@ def remove(paths: Iterable[Path]) -> None:
 
 def listed(run_dir: Path) -> list[Path]:
     """Return a run's checkpoints, oldest first."""
-    folder = folder_of(run_dir)
-    return sorted(path for path in folder.glob("step-*.pt") if _NAME.fullmatch(path.name))
+    return sorted(folder_of(run_dir).glob("step-*.pt"))
 
 
 def load(path: Path) -> dict[str, Any]:
@@ -100,26 +98,17 @@ def find(where: Path, which: str = "last") -> Path:
         return where
     if not where.is_dir():
         raise IzooError(f"{where} does not exist; give the folder of a training run.")
-    found = listed(where)
+    found = {str(frames_of(path)): path for path in listed(where)}
     best = best_of(where)
-    if not found and best is None:
+    named = found | ({} if best is None else {"best": best})
+    if not named:
         raise IzooError(f"{where} holds no checkpoint; give the folder of a training run that has saved at least one.")
-    if which == "last" and found:
-        return found[-1]
-    if which in ("last", "best"):
-        if best is None:
-            raise IzooError(
-                f"{where} has no best checkpoint: the run has validated none (validation.every_batches). "
-                "Choose checkpoint=last."
-            )
-        return best
-    held = {frames_of(path): path for path in found}
-    if not which.isdigit() or int(which) not in held:
-        frames = ", ".join(str(frames) for frames in held)
+    named["last"] = listed(where)[-1] if found else named["best"]
+    if which not in named:
         raise IzooError(
-            f"checkpoint is {which!r}; {where} has last{', best' if best else ''}, and by frames: {frames}."
+            f"checkpoint is {which!r}; {where} has {', '.join(named)} (best comes with validation.every_batches)."
         )
-    return held[int(which)]
+    return named[which]
 
 
 def best_of(run_dir: Path) -> Path | None:
@@ -146,12 +135,12 @@ def make_best(candidate: Path) -> None:
 
 def candidates(run_dir: Path) -> list[Path]:
     """Return the checkpoints whose validation has not ended, oldest first."""
-    return sorted(path for path in folder_of(run_dir).glob("candidate-*.pt") if _CANDIDATE.fullmatch(path.name))
+    return sorted(folder_of(run_dir).glob("candidate-*.pt"))
 
 
 def frames_of(path: Path) -> int:
     """Return the environment steps that a checkpoint was saved after."""
-    named = _NAME.fullmatch(path.name) or _CANDIDATE.fullmatch(path.name)
+    named = _NAME.fullmatch(path.name)
     return int(named[1]) if named else int(load(path)["frames"])
 
 

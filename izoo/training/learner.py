@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
-from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -12,9 +10,8 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from izoo.algos.learners.base import MASK, OBSERVATION, POTENTIAL, Keys, innermost, reads
+from izoo.algos.learners.base import MASK, OBSERVATION, POTENTIAL, Algorithm, Keys, innermost, reads
 from izoo.algos.learners.decisions import Decisions, shaped
-from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import STEP
 from izoo.gpu import check_gpu
@@ -50,22 +47,12 @@ def to_learner(batch: TensorDictBase, device: torch.device) -> TensorDictBase:
     return found
 
 
-def is_finite(state: Any) -> bool:
-    """Whether every number in nested containers of tensors is finite."""
-    if isinstance(state, torch.Tensor):
-        return not state.is_floating_point() or bool(state.isfinite().all())
-    if isinstance(state, Mapping):
-        return all(is_finite(value) for value in state.values())
-    if isinstance(state, (list, tuple)):
-        return all(is_finite(value) for value in state)
-    return not isinstance(state, float) or math.isfinite(state)
-
-
 class Learner:
     """An algorithm and the policy that collects. They share weights on the CPU; elsewhere the policy gets a copy after
     each update.
 
     Args:
+        algorithm: on the device.
         config: options of the run.
         device: where networks, losses and replay live.
 
@@ -73,15 +60,14 @@ class Learner:
         decisions: makes decisions of steps, where agents do not decide in every step.
     """
 
-    def __init__(self, config: TrainConfig, device: torch.device) -> None:
-        self.device = device
+    def __init__(self, algorithm: Algorithm, config: TrainConfig, device: torch.device) -> None:
+        self.algorithm, self.device = algorithm, device
         self.gamma: float = getattr(config.algo, "gamma", 1.0)
-        self.algorithm = make_algorithm(config.algo, config.action, config.env, device)
-        whole = getattr(innermost(self.algorithm), "looks_around", False)
+        whole = getattr(innermost(algorithm), "looks_around", False)
         self.decisions = None if config.env.decide == STEP else Decisions(whole)
         shared = device == COLLECTS_ON
         self.policy: TensorDictModuleBase = (
-            self.algorithm.policy if shared else copy.deepcopy(self.algorithm.policy).to(COLLECTS_ON)
+            algorithm.policy if shared else copy.deepcopy(algorithm.policy).to(COLLECTS_ON)
         )
 
     def update(self, batch: TensorDictBase, progress: float) -> dict[str, float]:

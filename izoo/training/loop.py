@@ -15,23 +15,24 @@ import torch
 from tensordict import TensorDictBase
 
 from izoo.algos.learners.base import MASK
-from izoo.conf.mapping import to_mapping
+from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.train_options import CHANGEABLE, TrainConfig
 from izoo.console import Interrupt, Progress, graceful_interrupt
 from izoo.envs import simulator_of
 from izoo.errors import IzooError, UnfinishedError
 from izoo.files import NO_ROOM
 from izoo.metrics.summary import summarise
+from izoo.options import to_mapping
 from izoo.processes import processor_s
 from izoo.results.rollout import evaluate_policy
 from izoo.results.selection import EVALUATION_STREAM, EpisodeSeeds, choose_contexts, describe
-from izoo.results.store import PolicyRecord, flat
+from izoo.results.store import PolicyRecord, check_same
 from izoo.training import checkpoint, loggers, plots, run_folder
 from izoo.training.baseline_episodes import BaselineComparison
 from izoo.training.batch_statistics import READS, episode_stats, unused_slots
 from izoo.training.collectors import BatchSource
 from izoo.training.environments import NUMBERS
-from izoo.training.learner import is_finite, learner_device
+from izoo.training.learner import Learner, learner_device
 from izoo.training.loggers import IMITATION
 from izoo.training.option_checks import check_options
 from izoo.training.prioritized_level_replay import PrioritizedLevelReplay
@@ -57,25 +58,26 @@ def train(config: TrainConfig, show: Show | None = None) -> Path:
             the message names the last good checkpoint.
         KeyboardInterrupt: after Ctrl-C or SIGTERM, once the run is saved.
     """
-    if config.resume is not None:
-        run_dir, path = run_folder.resume_point(Path(config.resume))
-        with run_folder.owned(run_dir), _room(run_dir):
-            state = _to_resume(config, run_dir, path)
-            run = RunState(config, config.contexts.build())
-            if path is None or state is None:
-                run.begin()
-            else:
-                run.restore(state, path)
-                print(f"Resuming {run_dir} at {run.frames:,} frames.", flush=True)
-            Session(run, run_dir).run(show)
-        return run_dir
-    # Contexts are read before the folder is made, so that bad input leaves nothing behind.
-    learner_device(config.device)
     check_options(config)
+    # Contexts are read before the folder is made, so that bad input leaves nothing behind.
     source = config.contexts.build()
-    with run_folder.created(config) as run_dir, _room(run_dir):
-        run = RunState(config, source)
-        run.begin()
+    if config.resume is None:
+        path, folder = None, run_folder.created(config)
+    else:
+        run_dir, path = run_folder.resume_point(Path(config.resume))
+        folder = run_folder.owned(run_dir)
+    with folder as run_dir, _room(run_dir):
+        state = None if config.resume is None else _to_resume(config, run_dir, path)
+        torch.manual_seed(config.seed)
+        device = learner_device(config.device)
+        algorithm = make_algorithm(config.algo, config.action, config.env, device)
+        run = RunState(config, source, Learner(algorithm, config, device))
+        if path is not None and state is not None:
+            run.restore(state, path)
+            print(f"Resuming {run_dir} at {run.frames:,} frames.", flush=True)
+        elif config.start is not None:
+            run_folder.start_from(algorithm, config)
+            run.learner.share()
         Session(run, run_dir).run(show)
     return run_dir
 
@@ -104,14 +106,11 @@ def _room(run_dir: Path) -> Iterator[None]:
 def _to_resume(config: TrainConfig, run_dir: Path, path: Path | None) -> dict[str, Any] | None:
     """Check and write the options with which a run goes on, and return the state of its checkpoint."""
     stored = run_folder.read_config(run_dir)
-    own, given = (flat(to_mapping(each)) for each in (stored, config))
-    changed = [name for name in own | given if own.get(name) != given.get(name)]
-    for name in changed:
-        if name.split(".")[0] not in (*CHANGEABLE, "run_dir"):
-            raise IzooError(
-                f"{name} differs from that of {run_dir}; a resumed run keeps its own options "
-                f"(izoo.training.run_folder.resumed returns them) but for {', '.join(CHANGEABLE)}."
-            )
+    own, given = (
+        {name: value for name, value in to_mapping(each).items() if name not in (*CHANGEABLE, "run_dir")}
+        for each in (stored, config)
+    )
+    check_same(own, given, f"a resumed run keeps its options (run_folder.resumed gives them), but {run_dir} was begun")
     state = None if path is None else checkpoint.load(path)
     # The last batch of a run that is done may have gone beyond its frames.
     if state is not None and config.total_frames < min(stored.total_frames, state["frames"]):
@@ -119,8 +118,6 @@ def _to_resume(config: TrainConfig, run_dir: Path, path: Path | None) -> dict[st
             f"{path} has {state['frames']:,} frames already, more than total_frames={config.total_frames}; give more, "
             "or leave total_frames out."
         )
-    learner_device(config.device)
-    check_options(config)
     run_folder.write_config(run_dir, config)
     return state
 
@@ -135,17 +132,8 @@ def last_good(run_dir: Path) -> str:
     return f"The last good checkpoint is {kept[-1]}; make room, then go on: resume={run_dir}."
 
 
-class CollectionLostError(UnfinishedError):
-    """What collects has ended."""
-
-
-@contextlib.contextmanager
-def _noticing_loss() -> Iterator[None]:
-    """Raise :class:`CollectionLostError` where what collects has ended."""
-    try:
-        yield
-    except UnfinishedError as error:
-        raise CollectionLostError(*error.args) from error
+class DivergedError(UnfinishedError):
+    """Losses or weights are not finite any more."""
 
 
 class Session:
@@ -188,7 +176,8 @@ class Session:
                     self.state.load(None)
                     checkpoint.remove(self._abandoned)
                 self._save()
-                self._say_unused_slots()
+                if words := unused_slots(self.table.series("most_agents")[1], self.config.env.num_agents):
+                    print(words, flush=True)
                 self._validate_last(interrupt)
                 self._plot()
             finally:
@@ -201,11 +190,6 @@ class Session:
             raise KeyboardInterrupt
         self._evaluate(show)
 
-    def _say_unused_slots(self) -> None:
-        most = max(self.table.series("most_agents")[1], default=0.0)
-        if words := unused_slots(int(most), self.config.env.num_agents):
-            print(words, flush=True)
-
     def _say_where_it_stopped(self) -> None:
         if self.state.batches == 0:
             print("Stopped before the first batch; nothing is kept.", flush=True)
@@ -217,20 +201,24 @@ class Session:
         """Collect and learn, batch after batch."""
         self._worked_s = processor_s()
         state, reads = self.state, self.state.learner.reads
-        batches = self._batches = state.collector(None if reads is None else (*reads, *READS))
+        keeps = None if reads is None else (*reads, *READS)
+        episodes, begun = state.schedule(), state.in_progress()
+        batches = self._batches = BatchSource(
+            self.config, state.learner.policy, episodes, begun, state.environments, keeps
+        )
         batched = simulator_of(self.config.simulator).batched
         try:
             if batched and state.levels is not None:
                 self._baselines = BaselineComparison(self.config, state.draws, level=state.levels.level)
             elif batched:
-                self._baselines = BaselineComparison(self.config, state.schedule())
+                self._baselines = BaselineComparison(self.config, episodes)
             if self._baselines is not None:
                 self._baselines.expect(state.environments.get("episodes", ()))
             self.state.load(batches)
             self._learn_from(batches, interrupt)
             state.environments = batches.environments()
-        except CollectionLostError:
-            if not interrupt.requested:  # else a signal to the whole job may have ended the processes that collect
+        except UnfinishedError as error:  # a signal to the whole job may have ended the processes that collect, too
+            if isinstance(error, DivergedError) or not interrupt.requested:
                 raise
         finally:
             self._batches, baselines, self._baselines = None, self._baselines, None
@@ -261,8 +249,7 @@ class Session:
         """Collect one batch, learn from it, and return its row of the table."""
         start = time.perf_counter()
         torch.set_num_threads(1)  # idle learner threads would spin on the simulators' cores
-        with _noticing_loss():
-            batch = batches.next()
+        batch = batches.next()
         collected = time.perf_counter()
         stats = episode_stats(batch, self.config.staggered)
         if self._baselines is not None:
@@ -278,8 +265,7 @@ class Session:
         self._require_finite(learned)
         torch.set_num_threads(1)
         try:
-            with _noticing_loss():
-                batches.synchronise(self.state.learner.policy)
+            batches.synchronise(self.state.learner.policy)
         finally:  # what was learned counts, and can be saved
             seconds = time.perf_counter() - start
             self.state.frames += batch.numel()
@@ -307,13 +293,14 @@ class Session:
         return levels.stats()
 
     def _require_finite(self, learned: Mapping[str, float]) -> None:
-        """Raise :class:`UnfinishedError` where an update has left losses or weights that are not finite."""
+        """Raise :class:`DivergedError` where an update has left losses or weights that are not finite."""
         bad = [name for name, value in learned.items() if name.startswith("loss") and not math.isfinite(value)]
-        if not is_finite(self.state.learner.algorithm.policy.state_dict()):
+        weights = self.state.learner.algorithm.policy.state_dict().values()
+        if not all(value.isfinite().all() for value in weights if torch.is_tensor(value)):
             bad.append("the policy's weights")
         if bad:
             kept = checkpoint.listed(self.run_dir)
-            raise UnfinishedError(
+            raise DivergedError(
                 f"training has diverged after {self.state.frames:,} frames: {', '.join(bad)} not finite. The last "
                 f"finite checkpoint is {kept[-1] if kept else 'none'}; train again with a lower algo.lr, or smaller "
                 "rewards."
@@ -386,8 +373,4 @@ class Session:
             found = summarise(table)
         print(f"Run folder: {self.run_dir}", flush=True)
         if found is not None:
-            (show or _say_verdict)(found)
-
-
-def _say_verdict(summary: Mapping[str, Any]) -> None:
-    print(summary["verdict"], flush=True)
+            (show or (lambda summary: print(summary["verdict"], flush=True)))(found)

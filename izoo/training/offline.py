@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import shutil
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from izoo.console import Progress, graceful_interrupt, workers_ignore_interrupts
 from izoo.contexts.source import RandomSchedule
 from izoo.envs import make, simulator_of
 from izoo.errors import IzooError, UnfinishedError
-from izoo.files import NO_ROOM, claimed_empty
+from izoo.files import claimed_empty
 from izoo.gpu import check_gpu
 from izoo.results.playing import Policy
 from izoo.training import run_folder
@@ -64,14 +63,9 @@ def collect(config: CollectConfig) -> Path:
                     if interrupt.requested or writer.frames >= config.frames:
                         break
         except OSError as error:
-            if not writer.frames:  # what was begun would keep others from the folder
-                with contextlib.suppress(OSError):
-                    for path in out.glob("*.bin"):
-                        path.unlink()
-            remedy = "Make room, then collect" if error.errno in NO_ROOM else "Collect"
             raise UnfinishedError(
-                f"could not write to {out}: {error}; {writer.frames:,} steps are complete. {remedy} the rest into "
-                "another folder."
+                f"could not write to {out}: {error}; {writer.frames:,} steps are complete. Make room if the disk is "
+                "full, and collect the rest into another folder."
             ) from error
         finally:
             collector.shutdown()

@@ -8,10 +8,12 @@ from izoo.envs.config import SPEED, STEP
 from izoo.errors import IzooError
 from izoo.gpu import check_gpu
 from izoo.results import ray_cluster
+from izoo.training.learner import learner_device
 
 
 def check_options(config: TrainConfig) -> None:
     """Raise :class:`IzooError` where options of a run do not go together, or need what is not installed here."""
+    learner_device(config.device)
     if config.env.lane_change:
         raise IzooError(
             "env.lane_change=true asks the policy for lane changes as well, but izoo's learners command accelerations "

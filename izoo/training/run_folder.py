@@ -15,7 +15,6 @@ import yaml
 from izoo import zoo
 from izoo.algos.learners.base import Algorithm, innermost
 from izoo.algos.learners.registry import DRIVER_NAMES, make_algorithm
-from izoo.conf.mapping import from_mapping, to_mapping, to_yaml
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.population import MAX_FILE_BYTES
 from izoo.envs.config import EnvConfig
@@ -32,6 +31,7 @@ from izoo.files import (
     write_bytes,
     write_text,
 )
+from izoo.options import from_mapping, to_mapping
 from izoo.results.policies import NamedPolicy, as_policy
 from izoo.training import checkpoint
 from izoo.training.loggers import LOGGER_FOLDERS
@@ -70,14 +70,14 @@ def created(config: TrainConfig) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def owned(run_dir: Path) -> Iterator[None]:
-    """Keep other processes from training in a run's folder; reading it, and evaluating into it, they may.
+def owned(run_dir: Path) -> Iterator[Path]:
+    """Keep other processes from training in a run's folder, and give it; reading and evaluating into it they may.
 
     Raises:
         IzooError: another process trains there.
     """
     with claimed(checkpoint.folder_of(run_dir), "this run is being trained; wait for its end, or stop it"):
-        yield
+        yield run_dir
 
 
 def _remove(run_dir: Path, made: Sequence[Path]) -> None:
@@ -98,7 +98,7 @@ def write_config(run_dir: Path, config: TrainConfig) -> None:
         kept = run_dir / f"drivers-{number}.json"
         write_bytes(kept, read_bytes(Path(part["drivers"]), MAX_FILE_BYTES))
         part["drivers"] = kept.name
-    write_text(run_dir / CONFIG_FILE, to_yaml(values))
+    write_text(run_dir / CONFIG_FILE, yaml.safe_dump(values, sort_keys=False))
 
 
 def with_drivers(options: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from izoo.algos.learners.base import Keys
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextSource, RandomSchedule, Schedule
 from izoo.envs.twin_env import is_own_state
 from izoo.files import reading
-from izoo.training import run_folder
 from izoo.training.collectors import BatchSource
-from izoo.training.command_replay import EpisodeHistories
-from izoo.training.learner import Learner, learner_device
+from izoo.training.command_replay import EpisodeHistories, EpisodeHistory
+from izoo.training.learner import Learner
 from izoo.training.prioritized_level_replay import PrioritizedLevelReplay
 
 
@@ -41,6 +38,7 @@ class RunState:
     Args:
         config: options of the run.
         source: where its contexts come from.
+        learner: what it trains.
 
     Attributes:
         frames, batches, episodes, seconds: how far it is.
@@ -49,10 +47,8 @@ class RunState:
         first_episode: number in ``draws`` of the episode 0: other numbers of environments have played the earlier ones.
     """
 
-    def __init__(self, config: TrainConfig, source: ContextSource) -> None:
-        torch.manual_seed(config.seed)
-        self.config, self.source = config, source
-        self.learner = Learner(config, learner_device(config.device))
+    def __init__(self, config: TrainConfig, source: ContextSource, learner: Learner) -> None:
+        self.config, self.source, self.learner = config, source, learner
         self.draws = RandomSchedule(source, config.seed)
         self.levels: PrioritizedLevelReplay | None = None
         if config.levels.draw == "prioritised":
@@ -63,12 +59,6 @@ class RunState:
         self.histories, self.first_episode = EpisodeHistories.fresh(config.environments), 0
         self._saved: dict[str, Any] | None = None
         self._forgets = False
-
-    def begin(self) -> None:
-        """Begin with the policy that the options name, if they name one."""
-        if self.config.start is not None:
-            run_folder.start_from(self.learner.algorithm, self.config)
-            self.learner.share()
 
     def restore(self, state: dict[str, Any], path: Path) -> None:
         """Go on from a checkpoint: with its weights and random generators, and in the middle of its episodes.
@@ -112,14 +102,9 @@ class RunState:
         else:
             self.first_episode += later
 
-    def collector(self, keeps: Keys | None) -> BatchSource:
-        """Return a collector that goes on with the episodes in progress.
-
-        Args:
-            keeps: the keys that batches from the twin hold; ``None``: all that there are.
-        """
-        histories = self.histories.histories if self._saved is not None else ()
-        return BatchSource(self.config, self.learner.policy, self.schedule(), histories, self.environments, keeps)
+    def in_progress(self) -> Sequence[EpisodeHistory]:
+        """Return the episodes in progress of environments in processes, which a resumed run plays again."""
+        return self.histories.histories if self._saved is not None else ()
 
     def load(self, batches: BatchSource | None) -> None:
         """Load the learner's state from the checkpoint again, since making a collector tries the policy out."""

@@ -15,12 +15,12 @@ from torch import Tensor
 from torchrl.data.replay_buffers.storages import Storage
 
 from izoo import __version__
-from izoo.conf.mapping import to_mapping
 from izoo.conf.train_options import MAX_ENVS, CollectConfig
 from izoo.envs.config import MAX_AGENTS
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError, check_whole
 from izoo.files import expanded, reading, write_json
+from izoo.options import to_mapping
 
 FORMAT, MANIFEST = "izoo-steps-4", "manifest.json"
 AGENTS = {"agents": "agents", "next": ("next", "agents")}
@@ -108,6 +108,8 @@ class StoredSteps(Storage):
     def __init__(self, packed: TensorDictBase, slots: int, environments: int = 1) -> None:
         self.steps, self.rows, self.slots, self.environments = packed["steps"], packed["rows"], slots, environments
         super().__init__(len(self.steps))
+        # Where each step is stored: in the order of time, environment after environment.
+        self._order = (torch.arange(len(self.steps)) % environments).argsort(stable=True)
         count = self.steps["count"]
         self._ends = count.cumsum(0)
         if bool((count < 0).any()) or int(count.sum()) != len(self.rows):
@@ -122,17 +124,8 @@ class StoredSteps(Storage):
         Raises:
             IndexError: a step is beyond the last.
         """
-        if isinstance(index, tuple) and len(index) == 1:
-            index = index[0]
-        if isinstance(index, slice):
-            index = torch.arange(*index.indices(len(self)))
-        wanted = torch.as_tensor(index)
-        if wanted.dtype == torch.bool:
-            wanted = wanted.nonzero().view(-1)
-        flat = torch.where(wanted < 0, wanted + len(self), wanted).reshape(-1).long()
-        if bool(((flat < 0) | (flat >= len(self))).any()):
-            raise IndexError(f"an index is out of range: the data set has {len(self)} steps")
-        rows = self.collected(self._place(flat))
+        wanted = self._order[index]
+        rows = self.collected(wanted.reshape(-1))
         return rows[0] if wanted.ndim == 0 else rows.reshape(wanted.shape)
 
     def collected(self, index: Tensor | slice = slice(None)) -> TensorDictBase:
@@ -154,17 +147,7 @@ class StoredSteps(Storage):
 
     def leaf(self, key: NestedKey) -> Tensor:
         """Return one leaf, not of agents, of all steps ``[frames, ...]``; the others are not read."""
-        return self.steps.get(key)[self._place(torch.arange(len(self)))]
-
-    def _place(self, steps: Tensor) -> Tensor:
-        """Return where steps ``[n]`` of this sequence are stored; the first environments may have a step more."""
-        times, more = divmod(len(self), self.environments)
-        long = more * (times + 1)
-        rest = (steps - long).clamp_min(0)
-        in_long = steps < long
-        environment = torch.where(in_long, steps // (times + 1), more + rest // max(times, 1))
-        time = torch.where(in_long, steps % (times + 1), rest % max(times, 1))
-        return time * self.environments + environment
+        return self.steps.get(key)[self._order]
 
     def set(self, *_: Any, **__: Any) -> None:
         """Refuse: data sets are read only."""

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any
 from izoo.algos.actions.action_modes import ActionConfig
 from izoo.algos.learners import registry
 from izoo.algos.learners.registry import AlgoConfig, make_algorithm
-from izoo.conf.mapping import from_mapping, to_mapping
-from izoo.conf.quoting import written
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError
 from izoo.files import check_parts, expanded, reading, replacing
+from izoo.options import from_mapping, to_mapping, written
 from izoo.zoo import catalog
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from izoo.algos.actions.residual import Correction, NominalDriver
 from izoo.algos.drivers.base import DEFER
 from izoo.algos.learners import base
 from izoo.algos.learners.registry import ALGORITHMS, make_algorithm
-from izoo.cli.compose import compose_config
+from izoo.cli.option_command import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.config import EnvConfig
 from izoo.envs.mdp.frame import observation_names

@@ -11,7 +11,7 @@ from torchrl.envs import check_env_specs
 from izoo.algos.learners import base
 from izoo.algos.learners.mappo import MAPPO, MAPPOConfig
 from izoo.algos.networks.fleet_features import CHANNELS, COLUMNS, FLEET, FLEET_WIDTH, add_fleet, fleet_picture
-from izoo.cli.compose import compose_config
+from izoo.cli.option_command import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.training.environments import training_class
 from tests.algos.frames import FEATURES, SPACE, act, make_frames

@@ -8,7 +8,7 @@ import torch
 from izoo.algos.learners import base
 from izoo.algos.learners.mappo import COUNT_SCALE, MAPPO, MAPPOConfig, SetCritic
 from izoo.algos.learners.ppo import PPOConfig
-from izoo.cli.compose import compose_config
+from izoo.cli.option_command import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from tests.algos.frames import FEATURES, SPACE, make_frames

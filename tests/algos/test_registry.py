@@ -5,10 +5,10 @@ import dataclasses
 import pytest
 
 from izoo.algos.learners.registry import choices, make_algorithm, preset
-from izoo.cli.compose import compose_config
-from izoo.conf.mapping import from_mapping
+from izoo.cli.option_command import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
+from izoo.options import from_mapping
 
 
 @pytest.mark.parametrize("choice", choices())

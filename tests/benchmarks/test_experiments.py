@@ -8,13 +8,13 @@ import torch
 import yaml
 
 from izoo import zoo
+from izoo.algos.learners.registry import make_algorithm
 from izoo.benchmarks.campaign.__main__ import CampaignConfig
 from izoo.benchmarks.campaign.experiment import read_experiment, shipped
 from izoo.benchmarks.campaign.jobs import PartRun, reads_folder, untrained
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from izoo.metrics.summary import TRAINING
-from izoo.training.learner import Learner
 
 
 def parts(name: str) -> list[str]:
@@ -116,7 +116,7 @@ def test_what_a_file_gets_wrong_is_one_sentence(content: dict, message: str, tmp
 def test_an_untrained_entry_is_what_the_run_of_that_seed_begins_with() -> None:
     config = TrainConfig(seed=3)
     torch.manual_seed(3)
-    begun = Learner(config, torch.device("cpu")).policy.state_dict()
+    begun = make_algorithm(config.algo, config.action, config.env).policy.state_dict()
     torch.manual_seed(0)
     entry, other = (untrained(c).state_dict() for c in (config, TrainConfig()))
     weights = [name for name in begun if hasattr(begun[name], "dim") and begun[name].dim() == 2]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from izoo.benchmarks.campaign.parallel_training import ParallelRuns
-from izoo.cli.compose import compose_config
+from izoo.cli.option_command import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from izoo.training import checkpoint, run_folder

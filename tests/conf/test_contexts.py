@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from izoo.cli import compose
+from izoo.cli.option_command import compose_config
 from izoo.conf.built_in import CatalogueContexts, CityContexts
 from izoo.conf.choices import groups
 from izoo.conf.context_choices import MixedContexts, PcgContexts
 from izoo.conf.folders import DatasetContexts, OsmContexts
-from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts import catalogue
 from izoo.contexts.cities.rebuilt import SIZES
 from izoo.contexts.procedural import SYSTEMATICITY_TEST_SAMPLE
 from izoo.contexts.source import ContextList
 from izoo.errors import IzooError
+from izoo.options import from_mapping, to_mapping
 from izoo.training.validation_rollout import held_out
 
 CHOICES = {
@@ -31,7 +31,7 @@ CHOICES = {
 
 def chosen(*words: str):
     """What ``python -m izoo.train WORDS`` takes as its contexts."""
-    return compose.compose_config(TrainConfig, list(words)).contexts
+    return compose_config(TrainConfig, list(words)).contexts
 
 
 def test_every_choice_is_its_dataclass():
@@ -157,7 +157,7 @@ def test_dataset_splits_share_out_the_intersections(published):
         (["contexts=catalogue"], "contexts.ids is empty"),
         (["contexts=catalogue", "contexts.ids=[1306720]"], "0 to 1306719"),
         (["contexts=catalogue", "contexts.ids=[-1]"], "0 to 1306719"),
-        (["contexts=catalogue", "contexts.ids=[9..3]"], "upside down"),
+        (["contexts=catalogue", "contexts.ids=[9..3]"], "low end first"),
         (["contexts=catalogue", "contexts.ids=[x]"], "'x'"),
         (["contexts=dataset"], "contexts.path=DIR"),
         (["contexts=dataset", "contexts.path=/nowhere"], "/nowhere does not exist"),

@@ -15,13 +15,13 @@ from izoo.algos.actions.action_modes import AdviseAction, ResidualAction
 from izoo.algos.learners import registry
 from izoo.algos.learners.ppo import PPOConfig
 from izoo.benchmarks.campaign.__main__ import CampaignConfig
-from izoo.cli.compose import compose_config
+from izoo.cli.option_command import compose_config
 from izoo.conf.built_in import CatalogueContexts, CityContexts
 from izoo.conf.context_choices import PcgContexts
 from izoo.conf.evaluate_options import EvaluateConfig
-from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import CollectConfig, TrainConfig
 from izoo.errors import IzooError
+from izoo.options import from_mapping, to_mapping
 from izoo.report.__main__ import ReportConfig
 
 CONFIGS: dict[str, Any] = {

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from izoo import evaluate, train
-from izoo.cli import compose
+from izoo.cli.option_command import compose_config
 from izoo.conf.context_choices import DatasetContexts, PcgContexts
-from izoo.conf.mapping import from_mapping, to_mapping
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts import catalogue
 from izoo.contexts.population import DRIVER_CLASSES, DriverPopulation, read_population
@@ -19,6 +18,7 @@ from izoo.contexts.procedural import procedural_context
 from izoo.errors import IzooError
 from izoo.networks.net.build import build_net
 from izoo.networks.road import read_road
+from izoo.options import from_mapping, to_mapping
 from izoo.results.store import context_from_dict
 from izoo.traffic.drivers import built_in_population
 from izoo.traffic.sampling import sample_traffic
@@ -44,7 +44,7 @@ FLEET = (0.5, 0.2, 0.1, 0.2)
 
 
 def chosen(*words: str) -> Any:
-    return compose.compose_config(TrainConfig, list(words)).contexts
+    return compose_config(TrainConfig, list(words)).contexts
 
 
 CITY, IDS = ["contexts=city", "contexts.city=salt_lake_city"], ["contexts=catalogue", "contexts.ids=[5,100..102]"]

@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from izoo.__main__ import COMMANDS
-from izoo.cli.compose import combinations, compose_config
-from izoo.cli.option_command import OptionCommand
+from izoo.cli.option_command import OptionCommand, combinations, compose_config
 from tests.docs.blocks import ROOT, Block, blocks_of, command_lines, with_options
 
 

@@ -13,7 +13,7 @@ from izoo import train
 from izoo.algos.drivers.uncommanded import UncommandedDriver
 from izoo.algos.learners.base import ACTION, MASK
 from izoo.algos.learners.mappo import TEAM_BASELINE
-from izoo.cli.compose import compose_config
+from izoo.cli.option_command import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.context import Context
 from izoo.contexts.source import RandomSchedule

@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDictBase
 
 from izoo.algos.learners.registry import make_algorithm
-from izoo.cli.compose import compose_config
+from izoo.cli.option_command import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import RandomSchedule
 from izoo.training.collectors import BatchSource

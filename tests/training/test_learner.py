@@ -15,6 +15,7 @@ from izoo.algos.learners.ddpg import DDPGConfig
 from izoo.algos.learners.graph_ppo import GCRLConfig
 from izoo.algos.learners.mappo import MAPPOConfig
 from izoo.algos.learners.ppo import PPOConfig
+from izoo.algos.learners.registry import make_algorithm
 from izoo.algos.learners.td3 import TD3Config
 from izoo.conf.train_options import TrainConfig
 from izoo.envs.mdp.frame import observation_names
@@ -49,7 +50,8 @@ def collect(learner: Learner, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def make(name: str, device: torch.device) -> Learner:
     torch.manual_seed(0)
-    return Learner(CONFIGS[name], device)
+    config = CONFIGS[name]
+    return Learner(make_algorithm(config.algo, config.action, config.env, device), config, device)
 
 
 def test_exploration_goes_on_where_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,8 +90,7 @@ def test_what_was_learned_on_one_device_goes_on_on_another(name: str, monkeypatc
     first = make(name, OTHER)
     first.update(collect(first, monkeypatch), 0.25)
     state = copy.deepcopy(first.state_dict())
-    torch.manual_seed(99)
-    second = Learner(CONFIGS[name], CPU)
+    second = make(name, CPU)
     second.load_state_dict(state)
     assert torch.equal(torch.get_rng_state(), state["torch_rng"])
     expected = weights(first.policy)

@@ -17,7 +17,7 @@ from izoo.algos.learners.base import MASK, REWARD
 from izoo.algos.learners.decisions import Decisions, shaped
 from izoo.algos.learners.ppo import PPO, PPOConfig
 from izoo.algos.learners.registry import make_algorithm
-from izoo.cli.compose import compose_config
+from izoo.cli.option_command import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import RandomSchedule
 from izoo.results.playing import VEHICLE_REWARD, VEHICLE_SPANS

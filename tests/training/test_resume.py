@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 
 from izoo import train
 from izoo.algos.learners.base import ACTION, MASK
-from izoo.cli.compose import compose_config
+from izoo.cli.option_command import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.procedural import procedural_context
 from izoo.envs.config import EnvConfig

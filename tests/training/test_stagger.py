@@ -5,7 +5,7 @@ import contextlib
 import torch
 
 from izoo.algos.drivers.uncommanded import UncommandedDriver
-from izoo.cli.compose import compose_config
+from izoo.cli.option_command import compose_config
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import RandomSchedule
 from izoo.envs.mdp.frame import TOTALS

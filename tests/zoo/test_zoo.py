@@ -19,7 +19,7 @@ from izoo.benchmarks import twin
 from izoo.benchmarks.campaign.__main__ import CampaignConfig
 from izoo.benchmarks.campaign.experiment import read_experiment
 from izoo.benchmarks.campaign.jobs import PartRun
-from izoo.cli.compose import compose_config
+from izoo.cli.option_command import compose_config
 from izoo.cli.zoo import ZOO, _changed
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.procedural import procedural_context
