@@ -147,7 +147,8 @@ def test_sums_equal_those_of_sumos_own_output(context: Context, tmp_path: Path) 
             expected[name][p] += value
     assert expected["cohort"].sum() > 5
     for name, values in expected.items():
-        np.testing.assert_allclose(sums[name], values, rtol=2e-4, atol=1e-2, err_msg=name)
+        rtol = 5e-4 if name.endswith("co2_g") else 2e-4  # the output rounds slopes to 0.01 degrees
+        np.testing.assert_allclose(sums[name], values, rtol=rtol, atol=1e-2, err_msg=name)
 
 
 def test_gaming_the_papers_measure_worsens_the_own_measure_and_the_reward() -> None:
