@@ -92,10 +92,10 @@ def _join(path: str, key: str) -> str:
 def _converted(kind: Any, value: Any, path: str) -> Any:
     """Return the value of an option as one of its declared type; raises :class:`IzooError` where it cannot be one."""
     origin, args = get_origin(kind), get_args(kind)
-    if origin is list and isinstance(value, list) and _groups(args[0]):
+    if origin is list and isinstance(value, (list, tuple)) and _groups(args[0]):
         return [_converted(args[0], item, f"{path}[{place}]") for place, item in enumerate(value)]
     if groups := _groups(kind):
-        return value if dataclasses.is_dataclass(value) else _group(groups, value, path)
+        return value if isinstance(value, tuple(groups)) else _group(groups, value, path)
     try:
         return _fit(kind, value)
     except (TypeError, OverflowError):

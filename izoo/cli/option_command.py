@@ -119,8 +119,15 @@ class OptionCommand:
     def _sweep(self, words: Sequence[str]) -> list[Any]:
         """Return the options of every run of a sweep; runs that would share a folder get folders inside it."""
         configs = [self.compose(combination) for combination in combinations(self.named(words))]
+        if not configs:
+            raise IzooError("the sweep has no values; give one or more, as in seed=0,1.")
+        for config in configs:  # what cannot be read ends the sweep before anything is trained
+            if hasattr(config, "contexts"):
+                config.contexts.build()
         if len({getattr(config, "run_dir", number) for number, config in enumerate(configs)}) == len(configs):
             return configs
+        if any(config.resume for config in configs):
+            raise IzooError("a run is resumed once; leave its sweep out.")
         sweep = f"runs/{datetime.now():%Y-%m-%d_%H-%M-%S}-sweep"
         labels = [f"{number}-{config.algo.name}-seed{config.seed}" for number, config in enumerate(configs)]
         return [
