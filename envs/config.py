@@ -26,7 +26,8 @@ SCOPES = (STEP, VEHICLE, VEHICLE_AND_LINE)
 ACCELERATION, SPEED = "acceleration", "speed"
 ACTIONS = (ACCELERATION, SPEED)
 WHOLE_WAY, BEFORE, BEFORE_AND_BEHIND = ("speed",), ("speed_before",), ("speed_before", "speed_behind")
-STOP = "stop"
+STOP, GLIDE = "stop", "glide"
+FURTHER_PARTS = ((), (STOP,), (GLIDE,), (STOP, GLIDE))
 BY_STEP = MappingProxyType({"decide": STEP, "action": ACCELERATION, "action_parts": WHOLE_WAY})
 """Settings with which accelerations are decided in every step."""
 
@@ -50,8 +51,9 @@ class EnvConfig(CheckedOptions):
         action: kind of decision: an ``acceleration`` in m/s^2, or a desired ``speed`` as a share of the limit, which
             the vehicle's own car-following keeps to; 1 is uncommanded.
         action_parts: numbers of an action ``speed``: one for the whole way (``speed``), one for the way to the stop
-            line alone (``speed_before``), or one each before and behind it (``speed_before``, ``speed_behind``). A last
-            part ``stop`` says how gently a CV brakes for a red light that it cannot avoid; 1 leaves that to its driver.
+            line alone (``speed_before``), or one each before and behind it (``speed_before``, ``speed_behind``). After
+            these, or alone, ``stop`` says how gently a CV brakes for a red light that it cannot avoid, and ``glide`` how slowly,
+            as a share of the limit, it may approach to arrive when it can pass; 1 leaves either to its driver.
         horizon_s: length of an episode, warm-up included (500 s is the paper's "1000 steps"). This and the next two are
             rounded to whole steps.
         warmup_s: time at the start without control or measurement.
@@ -154,11 +156,14 @@ class EnvConfig(CheckedOptions):
     def _check_decisions(self) -> None:
         check_choice("env.decide", self.decide, SCOPES)
         check_choice("env.action", self.action, ACTIONS)
-        if self._speed_parts not in (WHOLE_WAY, BEFORE, BEFORE_AND_BEHIND):
+        speeds = tuple(part for part in self.action_parts if part not in (STOP, GLIDE))
+        further = self.action_parts[len(speeds) :]
+        known = speeds in ((), WHOLE_WAY, BEFORE, BEFORE_AND_BEHIND) and further in FURTHER_PARTS
+        if not known or not self.action_parts:
             raise IzooError(
                 f"env.action_parts is {list(self.action_parts)}; give {list(WHOLE_WAY)} for one speed all the way, "
                 f"{list(BEFORE)} for one before the stop line, or {list(BEFORE_AND_BEHIND)} for one on either side; "
-                f"{STOP} may be added as the last."
+                f"{STOP}, {GLIDE} or both, in this order, may follow or stand alone."
             )
         if self.action != SPEED and self.action_parts != WHOLE_WAY:
             raise IzooError(
@@ -193,19 +198,9 @@ class EnvConfig(CheckedOptions):
         """Numbers of an action, ``D``."""
         return len(self.action_parts) if self.action == SPEED else 1
 
-    @property
-    def _speed_parts(self) -> tuple[str, ...]:
-        return self.action_parts[:-1] if self.action_parts[-1:] == (STOP,) else self.action_parts
-
-    @property
-    def behind_column(self) -> int:
-        """Which number of an action is the desired speed behind the stop line; -1: none, it is 1."""
-        return (BEFORE, WHOLE_WAY, BEFORE_AND_BEHIND).index(self._speed_parts) - 1
-
-    @property
-    def stop_column(self) -> int:
-        """Which number of an action says how gently to stop; -1: none, it is 1."""
-        return len(self._speed_parts) if STOP in self.action_parts else -1
+    def column(self, *parts: str) -> int:
+        """Return which number of an action is one of these parts; -1: none, it is 1."""
+        return next((k for k, part in enumerate(self.action_parts) if part in parts), -1)
 
     @property
     def hold_steps(self) -> int:

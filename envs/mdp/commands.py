@@ -6,7 +6,7 @@ import numpy as np
 
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, MIN_SHARE
 from izoo.envs.tables import compiled
-from izoo.networks.clock import RED
+from izoo.networks.clock import GREEN, RED
 from izoo.networks.road import APPROACHING, INSIDE
 
 LANE_CHANGE_BRAKING_MPS2 = 0.5
@@ -18,6 +18,12 @@ _CAP_BRAKING_MPS2 = 1.5
 """Braking to a lower desired speed, and, times a share, for a red light that cannot be avoided."""
 _QUEUE_SPEED_MPS, _QUEUE_GAP_M = 2.0, 3.0
 """A slower leader stands in a queue, and what is left free behind it."""
+_FOLLOWING_S, _NEAR_M, _LATE_S = 1.5, 20.0, 2.0
+"""Gliding is for vehicles that are farther behind their leader and from the stop line, and early by more than this."""
+_MOVING_FILL, _SPACING_M = 0.1, 7.5
+"""Share of the road ahead of a moving leader that is taken to fill with a queue, and what a vehicle takes up in it."""
+_START_LAG_S, _HEADWAY_S, _MARGIN_S = 2.0, 2.4, 0.0
+"""When the first vehicle of a queue passes, how far apart they pass, and how much of a green must be left."""
 _LAST_METRES_M, _SLOW_MPS = 5.0, 3.0
 """The end of a stop is left to the driver."""
 
@@ -108,12 +114,13 @@ def plan_caps(world, base):  # type: ignore[no-untyped-def]
         sums = tables.sums[base + vehicle.approach]
         sums.agent_steps += 1
         before_line = vehicle.location == APPROACHING
-        share = _part(action, a, 0 if before_line else rules.behind_column)
+        share = _part(action, a, rules.before_column if before_line else rules.behind_column)
         gentle = _part(action, a, rules.stop_column if before_line else -1)
+        slowest = _part(action, a, rules.glide_column if before_line else -1)
         is_new = tables.acting[a] < 0
-        if not is_new and (np.isnan(share) or np.isnan(gentle)):
+        if not is_new and (np.isnan(share) or np.isnan(gentle) or np.isnan(slowest)):
             sums.nan_actions += 1
-        free = is_new or defer[a] != 0 or not (share < 1.0 or gentle < 1.0)
+        free = is_new or defer[a] != 0 or not (share < 1.0 or gentle < 1.0 or slowest < 1.0)
         vehicle.deferred = free
         speed, max_speed, slower = vehicle.speed_mps, TOP_SPEED_MPS, vehicle.speed_mps
         if free:
@@ -124,6 +131,11 @@ def plan_caps(world, base):  # type: ignore[no-untyped-def]
                 limit = world.road.lanes[vehicle.region_lane].limit_mps
             if share < 1.0:
                 max_speed = max(share, MIN_SHARE) * limit
+            if slowest < 1.0:
+                way_s = _way_to_pass(vehicle, tables.signal, world.clock, limit)
+                gliding_mps = max(-vehicle.stop_line_distance_m / way_s, max(slowest, MIN_SHARE) * limit)
+                max_speed = min(max_speed, gliding_mps) if gliding_mps < limit else max_speed
+            if max_speed < TOP_SPEED_MPS:
                 slower = min(speed, max(max_speed, speed - _CAP_BRAKING_MPS2 * rules.step_s))
             if gentle < 1.0:
                 least_mps2 = max(gentle, MIN_SHARE) * _CAP_BRAKING_MPS2
@@ -169,3 +181,37 @@ def _stop_braking(vehicle, signal, least_mps2, step_s):  # type: ignore[no-untyp
     needed = speed * speed / (2.0 * ahead + speed * step_s)
     certain = shown.change_s >= speed / needed
     return needed if certain and (1.0 - 1e-6) * least_mps2 <= needed <= _CAP_BRAKING_MPS2 else 0.0
+
+
+@compiled
+def _way_to_pass(vehicle, signal, clock, limit_mps):  # type: ignore[no-untyped-def]
+    """Return in how many seconds a vehicle that should glide expects to pass the stop line; 0.001 where it need not.
+
+    As in :class:`~izoo.algos.drivers.glide.Glide`: the queue ahead on its lane, guessed from its leader, discharges
+    from the beginning of a green, and a green that it uses up is skipped.
+    """
+    distance = -vehicle.stop_line_distance_m
+    follows = vehicle.has_leader and vehicle.leader_gap_m < _FOLLOWING_S * vehicle.speed_mps
+    if follows or distance < _NEAR_M:
+        return 0.001
+    shown, movement = signal[vehicle.approach, vehicle.exit], vehicle.approach * signal.shape[1] + vehicle.exit
+    length_s, free_s, queue = clock.green_s[movement], distance / limit_mps, 0.0
+    if vehicle.has_leader and distance > vehicle.leader_gap_m:
+        fill = 1.0 if vehicle.leader_speed_mps < _QUEUE_SPEED_MPS else _MOVING_FILL
+        queue = 1.0 + fill * (distance - vehicle.leader_gap_m) / _SPACING_M
+    start_s = shown.change_s
+    if shown.colour == GREEN:
+        start_s = shown.change_s - length_s
+    elif shown.colour != RED:
+        start_s = max(shown.second_green_s - clock.timing.cycle_s, 0.0)
+    passes_s = shown.third_green_s + length_s
+    for k in range(3):
+        begins_s = max(start_s, 0.0)
+        lag_s = _START_LAG_S if start_s >= 0.0 else 0.0
+        passing_s = max(begins_s + lag_s + _HEADWAY_S * queue, free_s)
+        if passing_s <= start_s + length_s - _MARGIN_S:
+            passes_s = passing_s
+            break
+        queue = max(queue - max(start_s + length_s - begins_s - lag_s, 0.0) / _HEADWAY_S, 0.0)
+        start_s = shown.second_green_s if k == 0 else shown.third_green_s
+    return passes_s if passes_s - free_s >= _LATE_S else 0.001

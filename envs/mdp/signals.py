@@ -29,11 +29,13 @@ class Clock(NamedTuple):
     Attributes:
         timing: a record, :data:`Timing`.
         phase_begin_s: ``[K]``.
+        green_s: ``[P * Q]`` green per cycle.
         shown: ``[P * Q, K]``, records of :data:`Shown`.
     """
 
     timing: Annotated[np.ndarray, Timing, 0]
     phase_begin_s: Float1
+    green_s: Float1
     shown: Annotated[np.ndarray, Shown, 2]
 
 
@@ -46,7 +48,8 @@ def clock_tables(clock: SignalClock) -> Clock:
     for name in Shown.names:  # type: ignore[union-attr]
         shown[name] = getattr(clock, name)
     timing = np.array((clock.cycle_s, clock.offset_s), Timing)
-    return Clock(timing, np.ascontiguousarray(clock.phase_begin_s), shown.reshape(-1, clock.colour.shape[-1]))
+    begins, green_s = (np.ascontiguousarray(values, float) for values in (clock.phase_begin_s, clock.green_s.ravel()))
+    return Clock(timing, begins, green_s, shown.reshape(-1, clock.colour.shape[-1]))
 
 
 @compiled

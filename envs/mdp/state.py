@@ -9,7 +9,7 @@ import numpy as np
 
 from izoo.contexts.context import Context
 from izoo.emissions.kernel import KernelWeights
-from izoo.envs.config import SCOPES, SPEED, STEP, EnvConfig
+from izoo.envs.config import GLIDE, SCOPES, SPEED, STEP, STOP, EnvConfig
 from izoo.envs.mdp.blocked_demand import NEVER, cohort_of, earliest_arrivals, idle_rates
 from izoo.envs.mdp.columns import Vehicle
 from izoo.envs.mdp.displacement import ROAD
@@ -196,7 +196,7 @@ Rules = np.dtype(
             (name, "i8")
             for name in (
                 *("scope", "hold_steps", "control_steps", "total_steps", "num_vehicles"),
-                *("behind_column", "stop_column"),
+                *("before_column", "behind_column", "stop_column", "glide_column"),
             )
         ),
         *((name, "u1") for name in ("speeds", "electric")),
@@ -224,8 +224,10 @@ def rules_of(config: EnvConfig, context: Context, units: Units) -> np.ndarray:
         "control_steps": config.control_steps,
         "total_steps": config.total_steps,
         "num_vehicles": config.num_vehicles,
-        "behind_column": config.behind_column,
-        "stop_column": config.stop_column,
+        "before_column": config.column("speed", "speed_before"),
+        "behind_column": config.column("speed", "speed_behind"),
+        "stop_column": config.column(STOP),
+        "glide_column": config.column(GLIDE),
         "speeds": config.action == SPEED,
         "electric": context.engine == "electric",
         "emit_vector": "reward_vector" in config.emit,
