@@ -18,6 +18,8 @@ _CAP_BRAKING_MPS2 = 1.5
 """Braking to a lower desired speed, and, times a share, for a red light that cannot be avoided."""
 _QUEUE_SPEED_MPS, _QUEUE_GAP_M = 2.0, 3.0
 """A slower leader stands in a queue, and what is left free behind it."""
+_GLIDE_BRAKING_MPS2 = 0.5
+"""Braking to glide."""
 _FOLLOWING_S, _NEAR_M, _LATE_S = 1.5, 20.0, 2.0
 """Gliding is for vehicles that are farther behind their leader and from the stop line, and early by more than this."""
 _MOVING_FILL, _SPACING_M = 0.1, 7.5
@@ -131,12 +133,13 @@ def plan_caps(world, base):  # type: ignore[no-untyped-def]
                 limit = world.road.lanes[vehicle.region_lane].limit_mps
             if share < 1.0:
                 max_speed = max(share, MIN_SHARE) * limit
-            if slowest < 1.0:
-                way_s = _way_to_pass(vehicle, tables.signal, world.clock, limit)
-                gliding_mps = max(-vehicle.stop_line_distance_m / way_s, max(slowest, MIN_SHARE) * limit)
-                max_speed = min(max_speed, gliding_mps) if gliding_mps < limit else max_speed
-            if max_speed < TOP_SPEED_MPS:
                 slower = min(speed, max(max_speed, speed - _CAP_BRAKING_MPS2 * rules.step_s))
+            if slowest < 1.0:
+                arriving_mps = -vehicle.stop_line_distance_m / _way_to_pass(vehicle, tables.signal, world.clock, limit)
+                gliding_mps = max(arriving_mps, max(slowest, MIN_SHARE) * limit)
+                if gliding_mps < limit:
+                    max_speed = min(max_speed, gliding_mps)
+                    slower = min(slower, max(gliding_mps, speed - _GLIDE_BRAKING_MPS2 * rules.step_s))
             if gentle < 1.0:
                 least_mps2 = max(gentle, MIN_SHARE) * _CAP_BRAKING_MPS2
                 braking = _stop_braking(vehicle, tables.signal, least_mps2, rules.step_s)
