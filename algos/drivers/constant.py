@@ -10,7 +10,7 @@ from izoo.algos.drivers.base import DEFER, ScriptedDriver
 from izoo.algos.drivers.observed import Observed
 from izoo.algos.learners.base import ACTION, MASK
 from izoo.algos.learners.registry import CAP
-from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, MIN_SHARE, SPEED, STOP, EnvConfig
+from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, GLIDE, MIN_SHARE, SPEED, STOP, EnvConfig
 from izoo.errors import IzooError, check_range
 
 
@@ -68,11 +68,16 @@ class CappedSpeed(ScriptedDriver):
     def __init__(self, config: EnvConfig, share: float) -> None:
         super().__init__()
         self.share, self.speeds = share, config.action == SPEED
-        self.parts = [1.0 if part == STOP else share for part in config.action_parts]
+        self.parts = [1.0 if part in (STOP, GLIDE) else share for part in config.action_parts]
         if self.speeds:
             if share < MIN_SHARE:
                 raise IzooError(
                     f"{CAP}{share:g} is below the least desired speed of env.action=speed; give {MIN_SHARE:g} or more."
+                )
+            if min(self.parts) == 1.0 > share:
+                raise IzooError(
+                    f"{CAP}{share:g} caps a speed, and env.action_parts={list(config.action_parts)} has none; "
+                    "add speed_before."
                 )
             return
         self.seen = Observed(config, ("context_speed_limit_mps",), "a speed cap")

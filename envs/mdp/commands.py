@@ -98,9 +98,9 @@ def plan_caps(world, base):  # type: ignore[no-untyped-def]
 
     Args:
         world, base: as for :func:`plan_commands`. Actions ``[A, D]`` are shares of the limit, one for the whole way or
-            one each before and behind the stop line, and how gently to stop, a share of 1.5 m/s^2: from where it is
-            enough, the vehicle brakes for a red light that lasts until it stands. From 1 on the vehicle is
-            uncommanded, and NaN counts as 1.
+            one each before and behind the stop line; how gently to stop, a share of 1.5 m/s^2: from where it is enough,
+            the vehicle brakes for a red light that lasts until it stands; and the least share of the limit at which it
+            glides, to come to the line when it can pass. From 1 on the vehicle is uncommanded, and NaN counts as 1.
 
     Returns:
         How many rows have a new command, how many are released, and how many have a new maximum speed.
@@ -135,8 +135,8 @@ def plan_caps(world, base):  # type: ignore[no-untyped-def]
                 max_speed = max(share, MIN_SHARE) * limit
                 slower = min(speed, max(max_speed, speed - _CAP_BRAKING_MPS2 * rules.step_s))
             if slowest < 1.0:
-                arriving_mps = -vehicle.stop_line_distance_m / _way_to_pass(vehicle, tables.signal, world.clock, limit)
-                gliding_mps = max(arriving_mps, max(slowest, MIN_SHARE) * limit)
+                gliding_mps = _gliding_mps(vehicle, tables.signal, world.clock, limit)
+                gliding_mps = max(gliding_mps, max(slowest, MIN_SHARE) * limit)
                 if gliding_mps < limit:
                     max_speed = min(max_speed, gliding_mps)
                     slower = min(slower, max(gliding_mps, speed - _GLIDE_BRAKING_MPS2 * rules.step_s))
@@ -187,8 +187,8 @@ def _stop_braking(vehicle, signal, least_mps2, step_s):  # type: ignore[no-untyp
 
 
 @compiled
-def _way_to_pass(vehicle, signal, clock, limit_mps):  # type: ignore[no-untyped-def]
-    """Return in how many seconds a vehicle that should glide expects to pass the stop line; 0.001 where it need not.
+def _gliding_mps(vehicle, signal, clock, limit_mps):  # type: ignore[no-untyped-def]
+    """Return the speed at which a vehicle comes to the stop line when it can pass it; the limit where it need not slow.
 
     As in :class:`~izoo.algos.drivers.glide.Glide`: the queue ahead on its lane, guessed from its leader, discharges
     from the beginning of a green, and a green that it uses up is skipped.
@@ -196,7 +196,7 @@ def _way_to_pass(vehicle, signal, clock, limit_mps):  # type: ignore[no-untyped-
     distance = -vehicle.stop_line_distance_m
     follows = vehicle.has_leader and vehicle.leader_gap_m < _FOLLOWING_S * vehicle.speed_mps
     if follows or distance < _NEAR_M:
-        return 0.001
+        return limit_mps
     shown, movement = signal[vehicle.approach, vehicle.exit], vehicle.approach * signal.shape[1] + vehicle.exit
     length_s, free_s, queue = clock.green_s[movement], distance / limit_mps, 0.0
     if vehicle.has_leader and distance > vehicle.leader_gap_m:
@@ -217,4 +217,4 @@ def _way_to_pass(vehicle, signal, clock, limit_mps):  # type: ignore[no-untyped-
             break
         queue = max(queue - max(start_s + length_s - begins_s - lag_s, 0.0) / _HEADWAY_S, 0.0)
         start_s = shown.second_green_s if k == 0 else shown.third_green_s
-    return passes_s if passes_s - free_s >= _LATE_S else 0.001
+    return distance / passes_s if passes_s - free_s >= _LATE_S else limit_mps

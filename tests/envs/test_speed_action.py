@@ -62,7 +62,7 @@ def test_a_share_of_1_is_uncommanded(simulator: str) -> None:
     """Bit for bit, also on several lanes."""
     left_out, horizon = [("agents", "action"), ("agents", "defer")], {"horizon_s": 150.0}
     theirs = episode(simulator, crossing(), speeds(action="acceleration", **horizon), defer)
-    for parts in (("speed",), ("speed_before", "stop")):
+    for parts in (("speed",), ("speed_before", "stop"), ("stop", "glide")):
         ours = episode(simulator, crossing(), speeds(action_parts=parts, **horizon), constant(1.0, parts=len(parts)))
         assert same(ours.exclude(*left_out), theirs.exclude(*left_out)) and digest(ours) == digest(theirs)
 
@@ -129,6 +129,22 @@ def test_sumo_and_twin_stop_gently_alike() -> None:
     assert 0.7 < gentlest < 0.8 * gentlest_stop_mps2(free)
 
 
+def test_sumo_and_twin_glide_alike() -> None:
+    """Vehicles that may glide pass the line without standing, and never slower than they are allowed to."""
+    config, context = speeds(action_parts=("glide",)), one_lane(inflow_vph_per_lane=200.0, adoption=1.0)
+
+    def slowest_before_line_mps(steps: list[dict[int, Any]]) -> list[float]:
+        passed = [number for number in set().union(*steps) if any(step.get(number, (-1.0,))[0] > 0.0 for step in steps)]
+        return sorted(min(step[n][1] for step in steps if n in step and -400.0 < step[n][0] < 0.0) for n in passed)
+
+    gliding = slowest_before_line_mps(assert_same_motion(context, config, lambda: constant(0.3)))
+    free = slowest_before_line_mps(motion(episode("twin", context, config, constant(1.0))))
+    standing = [sum(speed < 1.0 for speed in speeds_mps) for speeds_mps in (gliding, free)]
+    assert standing[0] < 0.6 * standing[1]
+    held = [speed for speed in gliding if speed < 0.95 * LIMIT_MPS and speed > 1.0]
+    assert held and sum(speed > 0.29 * LIMIT_MPS for speed in held) > 0.8 * len(held)
+
+
 @pytest.mark.parametrize("simulator", SIMULATORS)
 def test_vehicles_slow_down_to_their_share_gently(simulator: str) -> None:
     frames = episode(simulator, one_lane(inflow_vph_per_lane=150.0, adoption=1.0), speeds(), constant(0.6))
@@ -161,6 +177,8 @@ def test_the_scripted_cap_equals_a_constant_share() -> None:
     with torch.no_grad():
         ours = episode("twin", one_lane(adoption=0.5), config, driver)
     assert motion(ours) == motion(episode("twin", one_lane(adoption=0.5), config, constant(0.6)))
+    with pytest.raises(IzooError, match="add speed_before"):
+        make_driver("cap_0.6", speeds(action_parts=("glide",)))
     free = make_driver("uncommanded", config)(TensorDict({"agents": TensorDict({"mask": torch.ones(3, dtype=bool)})}))
     assert free["agents", "action"].tolist() == [[1.0]] * 3
 
@@ -174,7 +192,8 @@ def test_drivers_that_command_accelerations_are_refused(name: str) -> None:
 def test_wrong_options_and_actions_are_refused() -> None:
     wrong: list[tuple[str, dict[str, Any]]] = [
         ("one on either side", {"action": "speed", "action_parts": ("speed", "speed_behind")}),
-        ("stop may be added", {"action": "speed", "action_parts": ("stop",)}),
+        ("in this order", {"action": "speed", "action_parts": ("glide", "stop")}),
+        ("one for the whole|one speed all the way", {"action": "speed", "action_parts": ()}),
         (r"env\.action=speed", {"action_parts": ("speed_before", "speed_behind")}),
         ("lane_change", {"action": "speed", "lane_change": True}),
         (r"env\.action", {"action": "velocity"}),
