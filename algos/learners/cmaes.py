@@ -167,6 +167,9 @@ class CMAES:
         features: length of an observation.
         space: of the actions; with a point mass, a policy whose weights are 0 leaves every vehicle alone.
         device: where the weights live.
+
+    Raises:
+        IzooError: an action is more than one number.
     """
 
     options: type[AlgoConfig] = CMAESConfig
@@ -174,6 +177,8 @@ class CMAES:
     def __init__(
         self, config: CMAESConfig, features: int, space: ActionSpace, device: torch.device | str = "cpu"
     ) -> None:
+        if space.size > 1:
+            raise IzooError(f"algo=cmaes chooses one number, not {space.size}; give env.action_parts one part.")
         band = None if space.point_mass is None else config.initial_spread
         self._start(config, LinearPolicies(features, space, config.population, band).to(device))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from izoo.conf.train_options import TrainConfig
 from izoo.envs import simulator_of
-from izoo.envs.config import SPEED, STEP
+from izoo.envs.config import STEP
 from izoo.errors import IzooError
 from izoo.gpu import check_gpu
 from izoo.results import ray_cluster
@@ -33,11 +33,6 @@ def check_options(config: TrainConfig) -> None:
         raise IzooError(
             f"algo.control_variate={algo.variate} plays every training episode a second time, uncommanded, which "
             f"{simulator.label} does not do during training; choose simulator=twin, or algo.control_variate=none."
-        )
-    if algo.candidates > 1 and config.env.action == SPEED:
-        raise IzooError(
-            f"algo={algo.name} compares policies that command accelerations or give advice, but action is "
-            f"{config.action.name}; choose action=direct or advise, and env.action=acceleration."
         )
     by_step = algo.by_step(config)
     if config.action.every_step:

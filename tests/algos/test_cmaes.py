@@ -113,6 +113,8 @@ def test_it_goes_on_exactly_where_it_stopped() -> None:
 
 def test_what_cannot_be_compared_is_refused() -> None:
     algorithm = make()
+    with pytest.raises(IzooError, match="one number, not 2"):
+        CMAES(CMAESConfig(), FEATURES, ActionSpace(0.2, 1.0, size=2))
     with pytest.raises(IzooError, match="cannot share 12 environments"):
         act(algorithm, 12)
     batch = generation(algorithm)
@@ -131,7 +133,14 @@ def test_all_blocks_play_the_same_episodes_and_each_only_once() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("algo", ["algo=cmaes action=advise", "algo=glide_search action=direct"])
+@pytest.mark.parametrize(
+    "algo",
+    [
+        "algo=cmaes action=advise",
+        "algo=glide_search action=direct",
+        "algo=cmaes action=speed env.action=speed env.action_parts=[glide]",
+    ],
+)
 def test_a_run_can_be_stopped_and_resumed_exactly(algo: str, tmp_path: Path) -> None:
     words = [*algo.split(), "algo.population=4", "num_envs=4", "simulator=twin", "twin.threads=1"]
     words += ["twin.surrogate=compiled", "twin.compare_every=0", "env.reward=fuel_team", "env.hold_s=2"]
