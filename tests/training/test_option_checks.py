@@ -26,7 +26,6 @@ SEARCH = ["algo=cmaes", "env.reward=fuel_team"]
         ([*ONCE, *TEAM], f"algo.credit=team {STEP}"),
         ([*ONCE, "levels.draw=prioritised"], f"levels.draw=prioritised {STEP}"),
         ([*TWIN, "env.decide=vehicle", *SEARCH], f"algo=cmaes {STEP}"),
-        ([*TWIN, *SEARCH, "env.action=speed", "action=speed"], "but action is speed"),
         (SEARCH, "a multiple of 16 for num_envs"),
         (["simulator=twin", "num_envs=17", *SEARCH], "a multiple of 16 for num_envs"),
         ([*TWIN, "algo=cmaes", "env.reward=fuel"], "a multiple of 16 for num_envs"),
