@@ -52,8 +52,9 @@ class EnvConfig(CheckedOptions):
             the vehicle's own car-following keeps to; 1 is uncommanded.
         action_parts: numbers of an action ``speed``: one for the whole way (``speed``), one for the way to the stop
             line alone (``speed_before``), or one each before and behind it (``speed_before``, ``speed_behind``). After
-            these, or alone, ``stop`` says how gently a CV brakes for a red light that it cannot avoid, and ``glide`` how slowly,
-            as a share of the limit, it may approach to arrive when it can pass; 1 leaves either to its driver.
+            these, or alone, ``stop`` says how gently a CV brakes for a red light that it cannot avoid, and ``glide``
+            how slowly, as a share of the limit, it may approach to arrive when it can pass; 1 leaves either to its
+            driver.
         horizon_s: length of an episode, warm-up included (500 s is the paper's "1000 steps"). This and the next two are
             rounded to whole steps.
         warmup_s: time at the start without control or measurement.

@@ -134,7 +134,8 @@ class SpeedAction(ActionMode):
     """The policy's action is a desired speed, as a share of the limit, which the vehicle's own car-following keeps to.
 
     It may be one number or one each before and behind the stop line; further numbers, or these alone, say how gently
-    to stop and how slowly to glide (``env.action_parts``). It takes the place of ``algo.initial_accel_mps2`` and ``algo.initial_spread``.
+    to stop and how slowly to glide (``env.action_parts``). It takes the place of ``algo.initial_accel_mps2`` and
+    ``algo.initial_spread``.
 
     Attributes:
         name: the action mode.
