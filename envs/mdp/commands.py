@@ -204,7 +204,7 @@ def _gliding_mps(vehicle, signal, clock, limit_mps):  # type: ignore[no-untyped-
         queue = 1.0 + fill * (distance - vehicle.leader_gap_m) / _SPACING_M
     start_s = shown.change_s
     if shown.colour == GREEN:
-        start_s = shown.change_s - length_s
+        start_s = min(shown.change_s - length_s, 0.0)  # it may be green for ever
     elif shown.colour != RED:
         start_s = max(shown.second_green_s - clock.timing.cycle_s, 0.0)
     passes_s = shown.third_green_s + length_s
