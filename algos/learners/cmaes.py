@@ -178,7 +178,10 @@ class CMAES:
         self, config: CMAESConfig, features: int, space: ActionSpace, device: torch.device | str = "cpu"
     ) -> None:
         if space.size > 1:
-            raise IzooError(f"algo=cmaes chooses one number, not {space.size}; give env.action_parts one part.")
+            raise IzooError(
+                f"algo=cmaes chooses one number, not {space.size}; choose action=speed with one part in "
+                "env.action_parts, or action=direct or advise."
+            )
         band = None if space.point_mass is None else config.initial_spread
         self._start(config, LinearPolicies(features, space, config.population, band).to(device))
 

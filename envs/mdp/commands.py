@@ -6,7 +6,7 @@ import numpy as np
 
 from izoo.envs.config import ACTION_HIGH_MPS2, ACTION_LOW_MPS2, MIN_SHARE
 from izoo.envs.tables import compiled
-from izoo.networks.clock import GREEN, RED
+from izoo.networks.clock import GREEN, NEVER_S, RED
 from izoo.networks.road import APPROACHING, INSIDE
 
 LANE_CHANGE_BRAKING_MPS2 = 0.5
@@ -135,9 +135,9 @@ def plan_caps(world, base):  # type: ignore[no-untyped-def]
                 max_speed = max(share, MIN_SHARE) * limit
                 slower = min(speed, max(max_speed, speed - _CAP_BRAKING_MPS2 * rules.step_s))
             if slowest < 1.0:
-                gliding_mps = _gliding_mps(vehicle, tables.signal, world.clock, limit)
+                gliding_mps = _gliding_mps(vehicle, tables.signal, world.clock, min(limit, max_speed))
                 gliding_mps = max(gliding_mps, max(slowest, MIN_SHARE) * limit)
-                if gliding_mps < limit:
+                if gliding_mps < min(limit, max_speed):
                     max_speed = min(max_speed, gliding_mps)
                     slower = min(slower, max(gliding_mps, speed - _GLIDE_BRAKING_MPS2 * rules.step_s))
             if gentle < 1.0:
@@ -191,7 +191,8 @@ def _gliding_mps(vehicle, signal, clock, limit_mps):  # type: ignore[no-untyped-
     """Return the speed at which a vehicle comes to the stop line when it can pass it; the limit where it need not slow.
 
     As in :class:`~izoo.algos.drivers.glide.Glide`: the queue ahead on its lane, guessed from its leader, discharges
-    from the beginning of a green, and a green that it uses up is skipped.
+    from the beginning of a green, and a green that it uses up is skipped. Where turning on red is legal it waits for
+    the green all the same, and no kind of road is left out: where gliding does not pay, the action has to say so.
     """
     distance = -vehicle.stop_line_distance_m
     follows = vehicle.has_leader and vehicle.leader_gap_m < _FOLLOWING_S * vehicle.speed_mps
@@ -210,7 +211,7 @@ def _gliding_mps(vehicle, signal, clock, limit_mps):  # type: ignore[no-untyped-
     passes_s = shown.third_green_s + length_s
     for k in range(3):
         begins_s = max(start_s, 0.0)
-        lag_s = _START_LAG_S if start_s >= 0.0 else 0.0
+        lag_s = _START_LAG_S if start_s >= 0.0 and shown.change_s < NEVER_S else 0.0
         passing_s = max(begins_s + lag_s + _HEADWAY_S * queue, free_s)
         if passing_s <= start_s + length_s - _MARGIN_S:
             passes_s = passing_s

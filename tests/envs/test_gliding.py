@@ -35,6 +35,7 @@ def gliding_mps(colour: int, change_s: float, second_s: float, distance_m: float
         ((GREEN, 15.0, 45.0), {}, None),  # it passes in 10 s
         ((GREEN, 5.0, 35.0), {}, 37.0),  # too far for this green
         ((GREEN, NEVER_S, NEVER_S), {}, None),
+        ((GREEN, NEVER_S, NEVER_S), {"has_leader": 1, "leader_gap_m": 76.0, "leader_speed_mps": 8.0}, None),
         ((YELLOW, 3.0, 83.0), {}, 35.0),  # the next green is a cycle before the second
         # Half of the way is a queue of 7.7 vehicles, which need 18.4 s; the first green lets 7.5 of them pass.
         ((RED, 20.0, 70.0), STANDING, 72.4),
