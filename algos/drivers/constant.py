@@ -74,7 +74,7 @@ class CappedSpeed(ScriptedDriver):
                 raise IzooError(
                     f"{CAP}{share:g} is below the least desired speed of env.action=speed; give {MIN_SHARE:g} or more."
                 )
-            if min(self.parts) == 1.0 > share:
+            if share not in self.parts:
                 raise IzooError(
                     f"{CAP}{share:g} caps a speed, and env.action_parts={list(config.action_parts)} has none; "
                     "add speed_before."

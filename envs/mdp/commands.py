@@ -24,8 +24,8 @@ _FOLLOWING_S, _NEAR_M, _LATE_S = 1.5, 20.0, 2.0
 """Gliding is for vehicles that are farther behind their leader and from the stop line, and early by more than this."""
 _MOVING_FILL, _SPACING_M = 0.1, 7.5
 """Share of the road ahead of a moving leader that is taken to fill with a queue, and what a vehicle takes up in it."""
-_START_LAG_S, _HEADWAY_S, _MARGIN_S = 2.0, 2.4, 0.0
-"""When the first vehicle of a queue passes, how far apart they pass, and how much of a green must be left."""
+_START_LAG_S, _HEADWAY_S = 2.0, 2.4
+"""When the first vehicle of a queue passes, and how far apart they pass."""
 _LAST_METRES_M, _SLOW_MPS = 5.0, 3.0
 """The end of a stop is left to the driver."""
 
@@ -213,7 +213,7 @@ def _gliding_mps(vehicle, signal, clock, limit_mps):  # type: ignore[no-untyped-
         begins_s = max(start_s, 0.0)
         lag_s = _START_LAG_S if start_s >= 0.0 and shown.change_s < NEVER_S else 0.0
         passing_s = max(begins_s + lag_s + _HEADWAY_S * queue, free_s)
-        if passing_s <= start_s + length_s - _MARGIN_S:
+        if passing_s <= start_s + length_s:
             passes_s = passing_s
             break
         queue = max(queue - max(start_s + length_s - begins_s - lag_s, 0.0) / _HEADWAY_S, 0.0)

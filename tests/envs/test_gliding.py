@@ -35,7 +35,6 @@ def gliding_mps(colour: int, change_s: float, second_s: float, distance_m: float
         ((GREEN, 15.0, 45.0), {}, None),  # it passes in 10 s
         ((GREEN, 5.0, 35.0), {}, 37.0),  # too far for this green
         ((GREEN, NEVER_S, NEVER_S), {}, None),
-        ((GREEN, NEVER_S, NEVER_S), {"has_leader": 1, "leader_gap_m": 76.0, "leader_speed_mps": 8.0}, None),
         ((YELLOW, 3.0, 83.0), {}, 35.0),  # the next green is a cycle before the second
         # Half of the way is a queue of 7.7 vehicles, which need 18.4 s; the first green lets 7.5 of them pass.
         ((RED, 20.0, 70.0), STANDING, 72.4),
@@ -52,3 +51,9 @@ def test_vehicles_arrive_when_they_can_pass(
 
 def test_near_the_line_they_are_left_alone() -> None:
     assert gliding_mps(RED, 20.0, 70.0, distance_m=19.0) == LIMIT_MPS
+
+
+def test_a_queue_at_a_permanent_green_has_started_already() -> None:
+    """It needs 2.6 s, the vehicle 2.5 s; a lag of 2 s would make it glide."""
+    leader = {"has_leader": 1, "leader_gap_m": 20.0, "leader_speed_mps": 8.0}
+    assert gliding_mps(GREEN, NEVER_S, NEVER_S, distance_m=25.0, **leader) == LIMIT_MPS
