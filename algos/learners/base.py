@@ -31,6 +31,8 @@ ACTION_VALUE = ("agents", "state_action_value")
 POTENTIAL = ("agents", "potential")
 """``[*B, A, 1]``: the same vehicle's reward-to-go in the uncommanded episode
 (:func:`izoo.algos.learners.decisions.shaped`)."""
+EPISODES = "context_ids"
+"""``[*B, 3]`` int64, in training on the twin: the number of the episode, the context's id or -1, the seed."""
 REWARD, DONE, TERMINATED = ("agents", "reward"), ("agents", "done"), ("agents", "terminated")
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "silu": nn.SiLU}

@@ -24,7 +24,7 @@ from izoo.algos.learners.imitation import EXPERT_ACTION, WarmStart
 from izoo.algos.learners.registry import ON_TWIN, AlgoConfig
 from izoo.algos.losses import MaskedPPOLoss
 from izoo.algos.losses.masked_gae import TEAM_REWARD
-from izoo.algos.networks.gaussian import CompiledPolicy, SamplingPolicy, normal_parameters, tanh_normal
+from izoo.algos.networks.gaussian import CommonNoise, CompiledPolicy, SamplingPolicy, normal_parameters, tanh_normal
 from izoo.algos.networks.masking import is_set_module
 from izoo.envs import REFERENCE
 from izoo.envs.config import BY_STEP, RewardConfig
@@ -82,6 +82,9 @@ class PPOConfig(AlgoConfig):
             uncommanded episode of the same context and seed, which is played during training: less variance, no bias
             (:func:`izoo.algos.learners.decisions.shaped`). Needs ``simulator=twin``. ``none``:
             nothing (ours).
+        common_noise: share of the variance of the exploration that all vehicles of an episode have in common: 0, each
+            explores alone (ours); 1, all choose faster, or slower, than they would. Then a vehicle's return also says
+            what it has of the others' doing the same, which it cannot find alone. Needs ``simulator=twin``.
         warm_start: a scripted driver that the policy imitates before reinforcement: ``glide``, or ``none``.
             Needs ``action=advise``, in which both can leave a CV alone.
         warm_start_frames: environment steps, over all environments, of the imitation.
@@ -121,6 +124,7 @@ class PPOConfig(AlgoConfig):
     max_grad_norm: float | None = 0.5
     reward_scale: float = 0.1
     control_variate: Literal["none", "vehicle"] = "none"
+    common_noise: float = 0.0
     warm_start: Literal["none", "glide"] = "none"
     warm_start_frames: int = 100_000
     warm_start_lr: float | None = None
@@ -133,7 +137,7 @@ class PPOConfig(AlgoConfig):
 
     ranges: ClassVar[Ranges] = (
         ("epochs minibatch_rows rows_per_epoch", 1, 10**9),
-        ("gamma gae_lambda", 0.0, 1.0),
+        ("gamma gae_lambda common_noise", 0.0, 1.0),
         ("lr warm_start_lr reward_scale kl_target", 1e-12, 100.0),
         ("target_kl", 1e-6, 100.0),
         ("clip_epsilon", 1e-12, 0.999),
@@ -274,6 +278,8 @@ class PPO:
         self.config, self.space = config, space
         self.actor = self.make_actor(features).to(device)
         self.policy = self.make_policy()
+        if config.common_noise > 0.0:
+            self.policy.common_noise = CommonNoise(config.common_noise, int(torch.randint(2**31 - 1, ())))
         self.critic = self.make_critic(features).to(device)
         self.loss = self.make_loss().to(device)
         self.loss.make_value_estimator()

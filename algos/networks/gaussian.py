@@ -69,6 +69,41 @@ def tanh_normal(network: nn.Module, in_keys: Sequence[tuple[str, ...]], space: A
     )
 
 
+class CommonNoise:
+    """Noise of which all agents of an episode have a share in common, from its first step to its last.
+
+    Agents that explore one by one do not find what pays only if most do it: a vehicle that glides alone holds up those
+    behind it. What is common is drawn from the seed and the episode's number alone, so a run that is resumed goes on
+    with it. A committed exploration of whole teams: Mahajan et al., arXiv 1910.07483.
+
+    Args:
+        share: of the variance, above 0, at most 1.
+        seed: of what is common.
+    """
+
+    def __init__(self, share: float, seed: int) -> None:
+        self.own, self.common, self.seed = math.sqrt(1.0 - share), math.sqrt(share), seed
+        self._episodes: list[int] = []
+        self._drawn = torch.zeros(0)
+
+    def mix(self, noise: Tensor, episodes: Tensor) -> Tensor:
+        """Return standard normal noise in the shape of ``noise``.
+
+        Args:
+            noise: ``[N, A]`` or ``[N, A, D]``, standard normal and independent.
+            episodes: ``[N]`` number of each environment's episode.
+        """
+        now = episodes.tolist()
+        if len(now) != len(self._episodes):
+            self._episodes, self._drawn = [-1] * len(now), torch.zeros(len(now), 1, *noise.shape[2:])
+        for env, (before, episode) in enumerate(zip(self._episodes, now, strict=True)):
+            if episode != before:
+                drawn = np.random.default_rng([self.seed, episode]).standard_normal(self._drawn[env].shape)
+                self._drawn[env] = torch.from_numpy(drawn)
+        self._episodes = now
+        return self.own * noise + self.common * self._drawn.to(noise)
+
+
 class SamplingPolicy(TensorDictModuleBase):
     """The policy of a :func:`tanh_normal` actor, for collection: same parameters and distribution, less overhead.
 
@@ -82,6 +117,8 @@ class SamplingPolicy(TensorDictModuleBase):
 
     no_op_band = 0.0
     """Actions smaller than this count as 0."""
+    common_noise: CommonNoise | None = None
+    """Where it is given, agents of an episode explore together; environments then emit its number."""
 
     def __init__(self, actor: ProbabilisticActor, space: ActionSpace) -> None:
         super().__init__()
@@ -98,8 +135,10 @@ class SamplingPolicy(TensorDictModuleBase):
         if mask is None:
             mask = torch.ones(observation.shape[:-1], dtype=torch.bool, device=observation.device)
         shape = mask.shape if self.size == 1 else (*mask.shape, self.size)
-        draw = torch.randn if base.explores() else torch.zeros
-        noise = draw(shape, dtype=observation.dtype, device=observation.device)
+        explores, episodes = base.explores(), tensordict.get(base.EPISODES, None)
+        noise = (torch.randn if explores else torch.zeros)(shape, dtype=observation.dtype, device=observation.device)
+        if self.common_noise is not None and explores and episodes is not None:
+            noise = self.common_noise.mix(noise, episodes[..., 0])
         loc, scale, action, log_prob = self.sample(observation, mask, noise, agents.get("two_sided", None)).unbind(0)
         if self.size == 1:
             loc, scale, action = (part.unsqueeze(-1) for part in (loc, scale, action))

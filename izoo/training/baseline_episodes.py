@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 
-from izoo.algos.learners.base import MASK, NUMBER, POTENTIAL
+from izoo.algos.learners.base import EPISODES, MASK, NUMBER, POTENTIAL
 from izoo.algos.learners.mappo import TEAM_BASELINE
 from izoo.conf.train_options import TrainConfig
 from izoo.contexts.source import Schedule
@@ -33,7 +33,7 @@ from izoo.metrics.figures import FIGURES
 from izoo.metrics.pairing import HUMAN, UNCOMMANDED
 from izoo.results.playing import VEHICLE_REWARD, VEHICLE_SPANS, Play
 from izoo.training.baseline_process import BaselineProcess, Episode
-from izoo.training.environments import NUMBERS, split_totals
+from izoo.training.environments import split_totals
 from izoo.training.reward_to_go import RewardToGo
 
 BLOCK = 32
@@ -182,7 +182,7 @@ class BaselineComparison:
         """Set what the learner subtracts from a batch ``[N, T]``: :data:`~izoo.algos.learners.mappo.TEAM_BASELINE`, or
         :data:`~izoo.algos.learners.base.POTENTIAL` at the root and under ``"next"``.
         """
-        self.expect(batch.get(("next", NUMBERS))[:, -1, 0].tolist())
+        self.expect(batch.get(("next", EPISODES))[:, -1, 0].tolist())
         if self.variate == "team":
             self._add_team_rewards(batch)
         elif self.variate == "vehicle":
@@ -199,7 +199,7 @@ class BaselineComparison:
             mask = part.get(MASK)
             steps = split_totals(part.get(TOTALS).flatten(0, 1))[0]["steps"].reshape(*batch.shape, 1).long()
             decision = torch.div(steps + self.hold_steps - 1, self.hold_steps, rounding_mode="floor")
-            whole = (part.get(NUMBERS)[..., :1], part.get(NUMBER), decision)
+            whole = (part.get(EPISODES)[..., :1], part.get(NUMBER), decision)
             episode, vehicle, now = (leaf.expand(mask.shape)[mask].numpy() for leaf in whole)
             found = np.zeros(len(vehicle), np.float32)
             for number, level in levels.items():
@@ -212,11 +212,11 @@ class BaselineComparison:
     def _episodes(self, batch: TensorDictBase) -> tuple[dict[int, Episode], dict[int, int]]:
         """Return the uncommanded episodes of a batch, and by its episodes' numbers those in the schedule."""
         assert self._subtracted is not None
-        levels = {number: self._level(number) for number in batch.get(NUMBERS)[..., 0].unique().tolist()}
+        levels = {number: self._level(number) for number in batch.get(EPISODES)[..., 0].unique().tolist()}
         return self._subtracted.episodes(list(levels.values())), levels
 
     def _add_team_rewards(self, batch: TensorDictBase) -> None:
-        numbers, following = batch.get(NUMBERS)[..., 0], batch.get(("next", TOTALS))
+        numbers, following = batch.get(EPISODES)[..., 0], batch.get(("next", TOTALS))
         steps = split_totals(following.flatten(0, 1))[0]["steps"].reshape(numbers.shape)
         # The last decision of an episode may be shorter.
         decisions = torch.div(steps.long() - 1, self.hold_steps, rounding_mode="floor")
@@ -232,7 +232,7 @@ class BaselineComparison:
         if not self._compared:
             return {}
         ended = batch.get(("next", "done")).squeeze(-1)
-        numbers, totals = batch.get(("next", NUMBERS))[ended][:, 0], batch.get(("next", TOTALS))[ended]
+        numbers, totals = batch.get(("next", EPISODES))[ended][:, 0], batch.get(("next", TOTALS))[ended]
         levels = torch.tensor([self._level(number) for number in numbers.tolist()], dtype=torch.int64)
         chosen = (levels % self.every == 0) & (numbers >= self._skipped)
         if not chosen.any():

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from tensordict import TensorDictBase
 
-from izoo.algos.learners.base import MASK, REWARD
+from izoo.algos.learners.base import EPISODES, MASK, REWARD
 from izoo.envs.mdp.frame import TOTALS
 from izoo.metrics.figures import level_tensors
-from izoo.training.environments import NUMBERS, split_totals
+from izoo.training.environments import split_totals
 
 LOGGED = (
     "emission_g_per_vehicle",
@@ -22,7 +22,7 @@ LOGGED = (
 )
 """Figures that training logs; shares as fractions."""
 
-READS = (MASK, ("next", *REWARD), ("next", "done"), ("next", TOTALS), ("next", NUMBERS))
+READS = (MASK, ("next", *REWARD), ("next", "done"), ("next", TOTALS), ("next", EPISODES))
 """What :func:`episode_stats` reads of a batch."""
 
 
@@ -50,7 +50,7 @@ def episode_stats(batch: TensorDictBase, partial: int = 0) -> dict[str, float]:
     whole = split_totals(totals)[0]["steps"] > 0
     stats["episodes"] = float(whole.sum())
     if partial > 0:
-        whole &= batch.get(("next", NUMBERS))[ended][:, 0] >= partial
+        whole &= batch.get(("next", EPISODES))[ended][:, 0] >= partial
     totals = totals[whole]
     count = len(totals)
     if count == 0:

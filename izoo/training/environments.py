@@ -15,7 +15,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
-from izoo.algos.learners.base import Keys
+from izoo.algos.learners.base import EPISODES, Keys
 from izoo.algos.networks import fleet_features
 from izoo.envs import simulator_of
 from izoo.envs.env import EcoDrivingBase, EcoDrivingEnv
@@ -23,9 +23,6 @@ from izoo.envs.mdp.frame import TOTALS
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, EPISODE_METRICS
 from izoo.training import command_replay
 from izoo.training.prioritized_level_replay import PrioritizedLevelReplay
-
-NUMBERS = "context_ids"
-"""Array ``[3]`` int64: the number of the episode, the context's id or -1, the seed; where environments are batched."""
 
 
 class _Training(EcoDrivingBase):
@@ -92,7 +89,7 @@ class TrainingEnv(_Training, EcoDrivingEnv):
 
 
 class TrainingBatchEnv(_Training):
-    """Environments that step side by side in this process, with :data:`TOTALS` and :data:`NUMBERS`.
+    """Environments that step side by side in this process, with :data:`TOTALS` and :data:`EPISODES`.
 
     Args:
         keeps: keys of a step that a batch needs; ``None``: all. The policy sees everything.
@@ -101,7 +98,7 @@ class TrainingBatchEnv(_Training):
             episodes begin, and so end, together.
     """
 
-    leaves = (TOTALS, NUMBERS)
+    leaves = (TOTALS, EPISODES)
 
     def __init__(
         self,
@@ -114,7 +111,7 @@ class TrainingBatchEnv(_Training):
         super().__init__(*args, **options)
         self._left_at, self._phases = state, phases
         self.keeps = keeps
-        self.observation_spec[NUMBERS] = Unbounded(self.reader.tensors[NUMBERS].shape, dtype=torch.int64)
+        self.observation_spec[EPISODES] = Unbounded(self.reader.tensors[EPISODES].shape, dtype=torch.int64)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **options: Any) -> TensorDictBase:
         state, phases = self._left_at, self._phases

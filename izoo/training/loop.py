@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 
-from izoo.algos.learners.base import MASK
+from izoo.algos.learners.base import EPISODES, MASK
 from izoo.algos.learners.registry import make_algorithm
 from izoo.conf.train_options import CHANGEABLE, TrainConfig
 from izoo.console import Interrupt, Progress, graceful_interrupt
@@ -31,7 +31,6 @@ from izoo.training import checkpoint, loggers, plots, run_folder
 from izoo.training.baseline_episodes import BaselineComparison
 from izoo.training.batch_statistics import READS, episode_stats, unused_slots
 from izoo.training.collectors import BatchSource
-from izoo.training.environments import NUMBERS
 from izoo.training.learner import Learner, learner_device
 from izoo.training.loggers import IMITATION
 from izoo.training.option_checks import check_options
@@ -288,7 +287,7 @@ class Session:
 
     def _score_levels(self, levels: PrioritizedLevelReplay, batch: TensorDictBase) -> dict[str, float]:
         """Let a batch's advantages score the levels that were played in it; return what to log."""
-        numbers, done = batch.get(NUMBERS)[..., 0], batch.get(("next", "done")).squeeze(-1)
+        numbers, done = batch.get(EPISODES)[..., 0], batch.get(("next", "done")).squeeze(-1)
         levels.update(numbers, self.state.learner.advantage(), batch.get(MASK), done)
         return levels.stats()
 

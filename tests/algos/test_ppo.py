@@ -52,6 +52,30 @@ def test_fast_policy_is_the_actors_distribution() -> None:
     torch.testing.assert_close(fast[mask], slow[mask])
 
 
+def test_vehicles_of_an_episode_explore_together() -> None:
+    """What is common lasts for an episode, is drawn anew for the next, and leaves each action's distribution."""
+    ppo, frame = make_ppo(common_noise=0.75), make_frames()[:, 0]
+    mask = frame[base.MASK]
+
+    def noise(*episodes: int) -> torch.Tensor:
+        seen = frame.clone().set(base.EPISODES, torch.tensor([[episode, -1, 7] for episode in episodes]))
+        with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+            acted = ppo.policy(seen)
+        raw = torch.atanh((acted[base.ACTION] - SPACE.middle) / SPACE.half_width)
+        log_prob = ppo.actor.get_dist(frame.clone()).log_prob(acted[base.ACTION])
+        torch.testing.assert_close(acted[base.LOG_PROB][mask], log_prob[mask], atol=1e-3, rtol=1e-3)
+        return ((raw - acted[base.LOC]) / acted[base.SCALE])[..., 0]
+
+    first = torch.stack([noise(*range(10, 10 + len(frame))) for _ in range(400)])
+    means = torch.stack([row[there].mean() for row, there in zip(first.mean(0), mask, strict=True) if there.any()])
+    again = torch.stack([noise(*range(10, 10 + len(frame))) for _ in range(400)])
+    assert (first[:, mask].std(0) - 0.5).abs().max() < 0.1
+    assert (first.mean(0) - again.mean(0))[mask].abs().max() < 0.15
+    assert means.std() > 0.2
+    many = torch.stack([noise(*range(start, start + len(frame))) for start in range(0, 4000, len(frame))])[:, mask]
+    assert many.mean().abs() < 0.1 and (many.std() - 1.0).abs() < 0.1
+
+
 @pytest.mark.parametrize("activation", ["tanh", "relu", "silu"])
 @pytest.mark.parametrize("hidden", [(128, 128), (9,), (5, 16, 3)])
 def test_compiled_policy_equals_the_modules(activation: str, hidden: tuple[int, ...]) -> None:

@@ -20,6 +20,7 @@ SEARCH = ["algo=cmaes", "env.reward=fuel_team"]
         (["env.lane_change=true"], "env.lane_change=true asks the policy for lane changes"),
         (["env.drain_s=600"], "leave it at 0"),
         (["algo.control_variate=vehicle"], "choose simulator=twin"),
+        (["algo.common_noise=1"], "choose simulator=twin"),
         ([*TEAM, "algo.control_variate=team"], "choose simulator=twin"),
         (["env.decide=vehicle", "action=advise"], f"action=advise {STEP}"),
         (["env.action=speed", "action=advise"], "choose action=speed"),

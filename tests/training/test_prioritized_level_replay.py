@@ -10,6 +10,7 @@ import torch
 
 from izoo import train
 from izoo.algos.drivers.uncommanded import UncommandedDriver
+from izoo.algos.learners.base import EPISODES
 from izoo.algos.learners.mappo import TEAM_BASELINE
 from izoo.conf.train_options import LevelsConfig
 from izoo.contexts.procedural import ProceduralSource
@@ -18,7 +19,6 @@ from izoo.envs.mdp.frame import TEAM_REWARD
 from izoo.training import baseline_episodes, checkpoint
 from izoo.training.baseline_episodes import BaselineComparison
 from izoo.training.collectors import BatchSource
-from izoo.training.environments import NUMBERS
 from izoo.training.prioritized_level_replay import PrioritizedLevelReplay, replay_probabilities
 from tests.training.test_baseline_episodes import config as paired_config
 from tests.training.test_baseline_episodes import schedule as uniform
@@ -119,7 +119,7 @@ def test_what_is_compared_is_the_level_that_is_played(tmp_path: Path, monkeypatc
             beside.add(batch)
             torch.testing.assert_close(batch["next", TEAM_BASELINE], batch["next", TEAM_REWARD], rtol=0.0, atol=0.0)
             beside.compare(batch)
-            numbers = batch[NUMBERS][..., 0]
+            numbers = batch[EPISODES][..., 0]
             replays += sum(levels.level(number) != number for number in numbers.unique().tolist())
             mask = batch["agents", "mask"]
             levels.update(numbers, torch.rand(mask.shape), mask, batch["next", "done"].squeeze(-1))

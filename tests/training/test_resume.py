@@ -38,6 +38,7 @@ TEAM = ["algo=mappo", "algo.credit=team", "algo.control_variate=team", "env.rewa
 DDPG = ["algo=ddpg", "algo.learning_starts=200", "algo.replay_rows=2000"]
 LEVELS = ["levels.draw=prioritised", "levels.kept=2", "levels.share=0.7"]
 ONCE = ["action=speed", "env.action=speed", "env.decide=vehicle", "algo.control_variate=vehicle", "env.reward=fuel"]
+ONCE += ["algo.common_noise=0.5"]
 TD3 = ["algo=td3", "action=advise", "algo.learning_starts=200", "algo.replay_rows=2000"]
 
 
