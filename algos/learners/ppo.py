@@ -83,8 +83,8 @@ class PPOConfig(AlgoConfig):
             (:func:`izoo.algos.learners.decisions.shaped`). Needs ``simulator=twin``. ``none``:
             nothing (ours).
         common_noise: share of the variance of the exploration that all vehicles of an episode have in common: 0, each
-            explores alone (ours); 1, all choose faster, or slower, than they would. Then a vehicle's return also says
-            what it has of the others' doing the same, which it cannot find alone. Needs ``simulator=twin``.
+            explores alone (ours); 1, all choose faster, or slower, than the policy says. Then a vehicle's return also
+            shows what it gains when the others do the same. Needs ``simulator=twin`` and decisions that are taken once.
         warm_start: a scripted driver that the policy imitates before reinforcement: ``glide``, or ``none``.
             Needs ``action=advise``, in which both can leave a CV alone.
         warm_start_frames: environment steps, over all environments, of the imitation.

@@ -34,10 +34,12 @@ def check_options(config: TrainConfig) -> None:
             f"algo.control_variate={algo.variate} plays every training episode a second time, uncommanded, which "
             f"{simulator.label} does not do during training; choose simulator=twin, or algo.control_variate=none."
         )
-    if getattr(algo, "common_noise", 0.0) > 0.0 and not simulator.batched:
+    common_noise = getattr(algo, "common_noise", 0.0)
+    if common_noise > 0.0 and (not simulator.batched or decide == STEP):
         raise IzooError(
-            f"algo.common_noise={algo.common_noise:g} lets all vehicles of an episode explore together, which works "  # type: ignore[attr-defined]
-            f"on the twin alone; choose simulator=twin, or algo.common_noise=0."
+            f"algo.common_noise={common_noise:g} lets all vehicles of an episode explore together, but simulator is "
+            f"{config.simulator} and env.decide {decide}; choose simulator=twin and env.decide=vehicle, or "
+            "algo.common_noise=0."
         )
     by_step = algo.by_step(config)
     if config.action.every_step:
