@@ -264,6 +264,7 @@ class Progress:
 
     def update(self, done: int, text: str = "") -> None:
         """Show that ``done`` pieces are done, followed by ``text``."""
+        ends = done >= self.total > self._seen[-1][1]
         self._seen.append((time.monotonic(), done))
         early = done < self.total and done - self._first < ESTIMATE_FROM * (self.total - self._first)
         text = ("" if early else f"{time_left(self._seen, self.total)}  ") + text
@@ -272,7 +273,7 @@ class Progress:
             self._bar.update(
                 self._task, completed=done, description=f"{done:,} / {self.total:,}{unit}  {text}".rstrip()
             )
-        elif self.shown and (time.monotonic() - self._last_line >= LINE_EVERY_S or done >= self.total):
+        elif self.shown and (time.monotonic() - self._last_line >= LINE_EVERY_S or ends):
             self._last_line = time.monotonic()
             print(f"{done:>10,} / {self.total:,}{unit}  {text}".rstrip(), file=self._file, flush=True)
 
