@@ -83,7 +83,7 @@ class CommonNoise:
 
     def __init__(self, share: float, seed: int) -> None:
         self.own, self.common, self.seed = math.sqrt(1.0 - share), math.sqrt(share), seed
-        self._episodes: list[int] = []
+        self._episodes: Sequence[int | None] = ()
         self._drawn = torch.zeros(0)
 
     def mix(self, noise: Tensor, episodes: Tensor) -> Tensor:
@@ -93,9 +93,9 @@ class CommonNoise:
             noise: ``[N, A]`` or ``[N, A, D]``, standard normal and independent.
             episodes: ``[N]`` number of each environment's episode.
         """
-        now = episodes.tolist()
+        now: list[int] = episodes.tolist()
         if len(now) != len(self._episodes):
-            self._episodes, self._drawn = [-1] * len(now), torch.zeros(len(now), 1, *noise.shape[2:])
+            self._episodes, self._drawn = [None] * len(now), torch.zeros(len(now), 1, *noise.shape[2:])
         for env, (before, episode) in enumerate(zip(self._episodes, now, strict=True)):
             if episode != before:
                 drawn = np.random.default_rng([self.seed, episode]).standard_normal(self._drawn[env].shape)
