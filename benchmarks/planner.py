@@ -21,10 +21,10 @@ from izoo.envs import RewardConfig, TwinEnv
 from izoo.envs.config import ACTION_LOW_MPS2, EnvConfig
 from izoo.envs.mdp.frame import observation_names
 from izoo.errors import IzooError, check_range
+from izoo.metrics.pairing import PLANNER
 from izoo.options import CheckedOptions
 from izoo.results.rollout import evaluated
 
-PLANNER = "planner"
 AT_ONCE = 16
 """Intersections that are played side by side."""
 SAY_EVERY = 50

@@ -1,8 +1,9 @@
-"""A distribution over actions with a point mass on 0, the action that leaves a vehicle alone.
+"""A distribution over actions with point masses on 0, the action that leaves a vehicle alone, and on the strongest.
 
 A network's output is censored: every value in a band around its origin stands for the action 0, which has a probability
-of its own and no density. Its log-probability is that of the whole band, so the gradient of a policy does not depend on
-which of the equivalent values was drawn (clipped-action policy gradient, arXiv 1802.07564).
+of its own and no density, and every value beyond a limit for the strongest action. Their log-probabilities are those of
+all such values, so the gradient of a policy does not depend on which of the equivalent values was drawn (clipped-action
+policy gradient, arXiv 1802.07564).
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ from torchrl.modules import TanhNormal
 
 HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 MAX_EXCESS = 4.0
-"""Values are cut off here: a tanh of 0.9993, which single precision can still invert."""
+"""Values beyond this stand for the strongest action: a tanh of 0.9993, which single precision can still invert."""
+STRONGEST = math.tanh(MAX_EXCESS)
+_ROUNDING = 1e-6
 
 
 class CensoredNormal(Distribution):
@@ -69,8 +72,10 @@ class CensoredNormal(Distribution):
         return self.censor(self.base_dist.sample(torch.Size(sample_shape)))
 
     def log_prob(self, value: Tensor) -> Tensor:
-        """Return the log-density of actions ``[*, *M, 1]``; where they are 0, the log-probability of that."""
-        return torch.where(value == 0, self.zero_log_prob(), self._log_density(value)).sum(-1)
+        """Return the log-density of actions ``[*, *M, 1]``; of 0 and of the strongest, the log-probability."""
+        strongest = value.abs() >= (1.0 - _ROUNDING) * STRONGEST * self.bound
+        some = torch.where(strongest, self._strongest_log_prob(value), self._log_density(value))
+        return torch.where(value == 0, self.zero_log_prob(), some).sum(-1)
 
     def zero_log_prob(self) -> Tensor:
         """Return the log-probability of the action 0, ``[*M, 1]``."""
@@ -84,12 +89,18 @@ class CensoredNormal(Distribution):
         return torch.where(self.two_sided, high + torch.log1p(-torch.exp((low - high).clamp(max=-1e-6))), one)
 
     def _log_density(self, value: Tensor) -> Tensor:
-        share = (value.abs() / self.bound).clamp(max=math.tanh(MAX_EXCESS))
+        share = (value.abs() / self.bound).clamp(max=STRONGEST)
         raw = (torch.atanh(share) + self.half_band) * value.sign()
         return self.base_dist.log_prob(raw) - torch.log1p(-share.square()) - math.log(self.bound)
 
+    def _strongest_log_prob(self, value: Tensor) -> Tensor:
+        """Return the log-probability of the strongest action, on the side of ``value``."""
+        beyond = value.sign() * self.base_dist.loc - (MAX_EXCESS + self.half_band)
+        return torch.special.log_ndtr(beyond / self.base_dist.scale)
+
     def entropy(self) -> Tensor:
-        """Return the entropy of the censored normal before the tanh, ``[*M]``: the mass and the density beside it."""
+        """Return the entropy of the normal before the tanh, censored around 0 alone, ``[*M]``: the mass and the density.
+        """
         loc, scale, rest = self.base_dist.loc, self.base_dist.scale, self.zero_log_prob()
         above = _tail_entropy((self.half_band - loc) / scale, scale)
         below = _tail_entropy((self.half_band + loc) / scale, scale)

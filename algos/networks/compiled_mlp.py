@@ -17,12 +17,12 @@ import torch
 from torch import Tensor, nn
 
 from izoo.algos.learners.base import ACTIVATIONS
-from izoo.algos.networks.censored_normal import MAX_EXCESS
+from izoo.algos.networks.censored_normal import MAX_EXCESS, STRONGEST
 from izoo.compiling import compiled
 from izoo.emissions.kernel import fast_tanh
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
-_MOST_EXCESS = MAX_EXCESS
+_MOST_EXCESS, _STRONGEST = MAX_EXCESS, STRONGEST
 
 
 class Network(NamedTuple):
@@ -221,9 +221,14 @@ def sample(parameters, rows, squashing, two_sided, noise, out):  # type: ignore[
         out[0, r] = parameters[j, 0]
         out[1, r] = scale
         if half_band >= 0.0:
-            excess = min(abs(raw) - half_band, _MOST_EXCESS)
+            excess = abs(raw) - half_band
             if excess <= 0.0 or (raw < 0.0 and not two_sided[r]):
                 out[3, r] = zero_log_prob(float(parameters[j, 0]), scale, half_band, two_sided[r] != 0)
+                continue
+            if excess >= _MOST_EXCESS:
+                out[2, r] = math.copysign(half * _STRONGEST, raw)
+                beyond = (parameters[j, 0] if raw > 0.0 else -parameters[j, 0]) - (_MOST_EXCESS + half_band)
+                out[3, r] = log_cdf(beyond / scale)
                 continue
             out[2, r] = math.copysign(half * math.tanh(excess), raw)
             z = (math.copysign(excess + half_band, raw) - parameters[j, 0]) / scale

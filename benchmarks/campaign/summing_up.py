@@ -15,13 +15,12 @@ import numpy as np
 import pandas as pd
 
 from izoo.benchmarks.campaign.jobs import PartRun
-from izoo.benchmarks.planner import PLANNER
 from izoo.console import counted
 from izoo.envs import SIMULATORS
 from izoo.files import write_json
 from izoo.metrics.cell import Cell
 from izoo.metrics.figures import FIGURES
-from izoo.metrics.pairing import BASELINES, UNCOMMANDED, pair
+from izoo.metrics.pairing import BASELINES, PLANNER, UNCOMMANDED, pair
 from izoo.metrics.statistics import iqm
 from izoo.metrics.summary import TRAINING, Summary, summarise
 from izoo.report import plots, tables
@@ -49,6 +48,7 @@ def sum_up(run: PartRun, lacking: Sequence[Any] = ()) -> list[Summary]:
     if not (folder / MANIFEST_FILE).exists():
         return []
     table, task = read_table(folder), read_manifest(folder).task
+    table = table[table["policy"] != PLANNER]
     names = sorted({name for name in table["task"] if not name.endswith(TRAINING)}, key=lambda name: name != task)
     found = []
     for name in names:

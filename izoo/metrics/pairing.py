@@ -19,6 +19,8 @@ from izoo.metrics.statistics import pooled
 UNCOMMANDED, HUMAN = "uncommanded", "human"
 BASELINES = (UNCOMMANDED, HUMAN)
 """What policies are compared with, the headline's first."""
+PLANNER = "planner"
+"""Knows the future: an estimate of what there is to gain, and no entry beside the others."""
 PAIR = ("simulator", "context_hash", "seed", "approach")
 """What a policy row and its baseline row agree on."""
 CONTEXT = ["train_seed", "context_hash"]

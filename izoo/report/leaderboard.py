@@ -28,7 +28,7 @@ from izoo.envs import MODEL_VERSION, REFERENCE, SIMULATORS
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, MOVEMENT_METRICS
 from izoo.errors import IzooError
 from izoo.files import read_text, write_text
-from izoo.metrics.pairing import BASELINES, PAIR, simulators
+from izoo.metrics.pairing import BASELINES, PAIR, PLANNER, simulators
 from izoo.metrics.statistics import MIN_TRAIN_SEEDS
 from izoo.metrics.summary import summarise
 from izoo.report import plots, tables
@@ -69,7 +69,7 @@ def write_entries(folder: Path) -> list[Path]:
     out = folder / FOLDER
     out.mkdir(parents=True, exist_ok=True)
     table = table[(table["task"] == manifest.task) & (table["simulator"] == simulators(table)[0])]
-    for name in sorted(set(table["policy"]) - set(BASELINES)):
+    for name in sorted(set(table["policy"]) - {PLANNER, *BASELINES}):
         records = manifest.policies.get(name, {0: PolicyRecord()})
         first = next(iter(records.values()))
         about = {"name": name, "kind": first.kind, "algo": first.algo, "frames": first.frames}

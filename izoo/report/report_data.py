@@ -13,7 +13,7 @@ import pandas as pd
 from izoo.errors import IzooError
 from izoo.files import check_folder
 from izoo.metrics.figures import FIGURES
-from izoo.metrics.pairing import BASELINES, HUMAN, UNCOMMANDED, pair, simulators
+from izoo.metrics.pairing import BASELINES, HUMAN, PLANNER, UNCOMMANDED, pair, simulators
 from izoo.metrics.paper_form import paper_form
 from izoo.metrics.summary import TRAINING, summarise
 from izoo.report.tables import ranking
@@ -111,7 +111,7 @@ def _evaluations(folder: Path, run: Path | None, partial: bool) -> list[Evaluati
             f"{folder} is not finished; start the same command again, it goes on where it stopped; or report what is "
             "there: partial=true."
         )
-    table = table[table["simulator"] == simulators(table)[0]]
+    table = table[(table["simulator"] == simulators(table)[0]) & (table["policy"] != PLANNER)]
     parts = {str(task): rows for task, rows in table.groupby("task")}
     tasks = sorted((task for task in parts if not task.endswith(TRAINING)), key=lambda task: task != manifest.task)
     found = []

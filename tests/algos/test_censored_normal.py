@@ -73,6 +73,23 @@ def test_the_gradient_of_resting_is_that_of_its_probability(two_sided: bool) -> 
         assert float(point.grad) == pytest.approx((rise[0] - rise[1]) / (2 * step), abs=0.02, rel=0.02)
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("loc", [0.3, 4.5, 8.45, 30.0])
+def test_the_strongest_action_has_the_probability_of_all_that_stands_for_it(loc: float, side: float) -> None:
+    """A policy far beyond it, with little spread, would else find its own draws impossible, and ratios overflow."""
+    point, scale = torch.full((1, 1), side * loc, requires_grad=True), torch.full((1, 1), 0.5, requires_grad=True)
+    distribution = CensoredNormal(point, scale, BOUND, DEAD, torch.tensor([True]))
+    strongest = distribution.censor(torch.full((1, 1), side * 30.0))
+    found = distribution.log_prob(strongest)
+    assert float(found.detach()) == pytest.approx(
+        float(torch.special.log_ndtr(torch.tensor((loc - 4.0 - DEAD) / 0.5))), rel=1e-4, abs=1e-6
+    )
+    found.sum().backward()
+    assert point.grad is not None and scale.grad is not None
+    assert bool(point.grad.isfinite()) and bool(scale.grad.isfinite()) and float(side * point.grad) >= 0.0
+    assert float(distribution.log_prob(0.99 * strongest).detach()) != pytest.approx(float(found.detach()), abs=0.1)
+
+
 @pytest.mark.parametrize("two_sided", [False, True])
 def test_entropy_equals_a_count(two_sided: bool) -> None:
     """In the coordinates before the tanh, by a sum over a fine grid."""
@@ -89,7 +106,7 @@ def test_entropy_equals_a_count(two_sided: bool) -> None:
 def test_compiled_draws_equal_the_modules() -> None:
     generator = torch.Generator().manual_seed(1)
     n = 500
-    loc, offset = 2.0 * torch.randn(n, generator=generator), torch.randn(n, generator=generator)
+    loc, offset = 4.0 * torch.randn(n, generator=generator), torch.randn(n, generator=generator)
     two_sided, noise = torch.rand(n, generator=generator) < 0.5, torch.randn(n, generator=generator)
     parameters = torch.stack([loc, offset], dim=-1).numpy()
     out, rows = np.zeros((4, n), np.float32), np.arange(n)
@@ -98,7 +115,7 @@ def test_compiled_draws_equal_the_modules() -> None:
     scale = torch.nn.functional.softplus(offset + 0.5).clamp_min(0.01)
     distribution = CensoredNormal(loc.unsqueeze(-1), scale.unsqueeze(-1), BOUND, DEAD, two_sided)
     action = distribution.censor((loc + scale * noise).unsqueeze(-1))
-    assert 50 < int((action == 0).sum()) < 450
+    assert 50 < int((action == 0).sum()) < 450 and int((action.abs() > 0.7993).sum()) > 50
     torch.testing.assert_close(torch.from_numpy(out[2]), action.squeeze(-1), atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(torch.from_numpy(out[3]), distribution.log_prob(action), atol=2e-3, rtol=1e-3)
 
