@@ -99,8 +99,7 @@ class CensoredNormal(Distribution):
         return torch.special.log_ndtr(beyond / self.base_dist.scale)
 
     def entropy(self) -> Tensor:
-        """Return the entropy of the normal before the tanh, censored around 0 alone, ``[*M]``: the mass and the density.
-        """
+        """Return the entropy ``[*M]`` of the normal before the tanh, censored around 0 alone: mass and density."""
         loc, scale, rest = self.base_dist.loc, self.base_dist.scale, self.zero_log_prob()
         above = _tail_entropy((self.half_band - loc) / scale, scale)
         below = _tail_entropy((self.half_band + loc) / scale, scale)

@@ -39,6 +39,7 @@ CONTENT = {
         }
     },
 }
+REFERENCE = Path(__file__).parents[2] / "results/reference"
 ENTRIES = {"human", "uncommanded", "glide", "ppo_untrained", "ppo"}
 
 
@@ -212,6 +213,18 @@ def test_headroom_is_a_share_of_what_the_planner_saves() -> None:
     assert found is not None and "8 contexts" in found.title
     shares = {row.label: row.cells[1] for row in found.rows}
     assert shares["planner"] == "100 %" and 45 < int(str(shares["ppo"]).split()[0]) < 56
+
+
+@pytest.mark.slow
+def test_the_planner_stands_beside_no_entry(tmp_path: Path) -> None:
+    """In the rows of the repository, which the page of results shows."""
+    shutil.copytree(REFERENCE / "busy_lane", tmp_path / "busy_lane")
+    assert "planner" in set(read_table(tmp_path / "busy_lane")["policy"])
+    assert campaign.main(["experiment=reference", "parts=[busy_lane]", "play=false", f"out={tmp_path}"]) == 0
+    tables, _, rest = (tmp_path / "tables.md").read_text().partition("Headroom")
+    assert "planner" not in tables and "| planner |" in rest
+    (evaluation,) = collect(tmp_path / "busy_lane", partial=True).evaluations
+    assert "planner" not in evaluation.policies and "glide" in evaluation.policies
 
 
 def test_costs_are_those_that_were_recorded(tmp_path: Path) -> None:
