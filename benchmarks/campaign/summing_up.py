@@ -20,11 +20,13 @@ from izoo.envs import SIMULATORS
 from izoo.files import write_json
 from izoo.metrics.cell import Cell
 from izoo.metrics.figures import FIGURES
-from izoo.metrics.pairing import BASELINES, PLANNER, UNCOMMANDED, pair
+from izoo.metrics.pairing import BASELINES, HUMAN, PLANNER, UNCOMMANDED, pair
+from izoo.metrics.paper_form import paper_form
 from izoo.metrics.statistics import iqm
 from izoo.metrics.summary import TRAINING, Summary, summarise
 from izoo.report import plots, tables
 from izoo.report.leaderboard import write_entries
+from izoo.report.paper_results import paper_table, published_for
 from izoo.report.report_data import TRAIN_FOLDER
 from izoo.report.tables import SAVED, Table
 from izoo.results.schema import EPISODE
@@ -87,9 +89,19 @@ def as_tables(run: PartRun, summary: Summary) -> list[Table]:
     shown += [tables.pairwise(summary)] if summary["pairwise"] else []
     return [
         each
-        for each in (*shown, headroom(table), agreement(table), costs(run.folder))
+        for each in (*shown, beside_paper(table, summary), headroom(table), agreement(table), costs(run.folder))
         if each is not None and each.rows
     ]
+
+
+def beside_paper(table: pd.DataFrame, summary: Summary) -> Table | None:
+    """Return the entries in the paper's measure, beside what it published for the task; ``None``: nothing."""
+    task = summary["task"]
+    if not published_for(task):
+        return None
+    rows = table[table["simulator"] == summary["simulators"][0]]
+    found = paper_table({name: paper_form(rows, name)[1] for name in summary["entries"] if name != HUMAN}, task)
+    return dataclasses.replace(found, title="In the paper's measure, over human driving")
 
 
 def agreement(table: pd.DataFrame) -> Table | None:
