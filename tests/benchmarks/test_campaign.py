@@ -13,11 +13,12 @@ import yaml
 from matplotlib import image
 
 from izoo.benchmarks.campaign import __main__ as campaign
-from izoo.benchmarks.campaign.summing_up import agreement, costs, draw_curves, headroom, on_front
+from izoo.benchmarks.campaign.summing_up import agreement, beside_paper, costs, draw_curves, headroom, on_front
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from izoo.files import claimed
 from izoo.leaderboard import main as leaderboard
+from izoo.metrics.paper_form import paper_form
 from izoo.metrics.summary import summarise
 from izoo.report.report_data import collect
 from izoo.results import read_table
@@ -225,6 +226,18 @@ def test_the_planner_stands_beside_no_entry(tmp_path: Path) -> None:
     assert "planner" not in tables and "| planner |" in rest
     (evaluation,) = collect(tmp_path / "busy_lane", partial=True).evaluations
     assert "planner" not in evaluation.policies and "glide" in evaluation.policies
+
+
+def test_in_the_papers_form_its_figures_stand_beside_the_entries() -> None:
+    made = table({"ppo": (0.03, 0.0, 1)})
+    assert beside_paper(made, summarise(made)) is None
+    made["task"] = "salt_lake_city_paper"
+    found = beside_paper(made, summarise(made))
+    assert found is not None
+    rows = {row.label: row.cells for row in found.rows}
+    published, own = rows["DDPG, published"], rows["ppo"]
+    assert [published[1].value, published[5].value] == pytest.approx([-1.85, 80.2]) and "human" not in rows
+    assert own[0].value == pytest.approx(100.0 * paper_form(made, "ppo")[1]["ratio_of_sums"])
 
 
 def test_costs_are_those_that_were_recorded(tmp_path: Path) -> None:
