@@ -196,7 +196,7 @@ def test_an_exported_policy_collects(run: Path, exported: Path, tmp_path: Path) 
     assert collect.main([f"policy={newest}", *words, f"out={tmp_path / 'checkpoint'}"]) == 0
 
 
-HELD = {"busy_lane_arrive": 103.8793, "busy_lane_glide": 99.4210, "busy_lane_imitation": 105.3357}
+HELD = {"busy_lane_arrive": 103.8793, "busy_lane_glide": 99.4210, "busy_lane_imitation": 105.3905}
 HELD |= {"measured_search": 102.5594, "salt_lake_city_glide": 102.6634}
 """CO2 of all vehicles that crossed, g per vehicle, in one episode of 1,000 s."""
 UNCOMMANDED = 107.1335
