@@ -61,6 +61,8 @@ def sum_up(run: PartRun, lacking: Sequence[Any] = ()) -> list[Summary]:
     if found:
         shown = tables.entries(found[0])
         charts = [dataclasses.replace(plots.forest(shown, column=column), title="") for column in range(2)]
+        if charts[0].rows == charts[1].rows:  # named once
+            charts[1] = dataclasses.replace(charts[1], rows=[""] * len(charts[1].rows))
         traded = plots.tradeoff(found[0]) if run.part.tradeoff else None
         save(
             draw([*charts, *([traded] if traded else [])], shown.title.removesuffix(" but for one column")),

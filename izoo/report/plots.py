@@ -22,6 +22,8 @@ DELAY = "delay_change_s"
 BINS, LIMIT_PCT = 150, 100.0
 """The published histogram: values clipped to +-100 %, 150 bins."""
 THRESHOLDS_PCT = np.arange(-100.0, 100.5, 0.5)
+FAR = 10.0
+"""An interval this many times as wide as the median one runs off a chart of intervals."""
 UNTRAINED = "_untrained"
 """Ends the name of an entry that is played as its training begins."""
 SVG_STYLE: Any = {
@@ -40,7 +42,10 @@ def colours(names: Sequence[str]) -> dict[str, str]:
 
 
 def forest(table: Table, name: str = "forest", column: int = 0) -> Chart:
-    """Return a column of a table with its intervals, a row per entry."""
+    """Return a column of a table with its intervals, a row per entry.
+
+    An interval :data:`FAR` times as wide as the median one runs off the chart: else it would hide what the others say.
+    """
     cells = [(row.label, row.cells[column]) for row in table.rows]
     known = [(label, cell) for label, cell in cells if isinstance(cell, Cell) and cell.value is not None]
     marks = Series(
@@ -53,7 +58,19 @@ def forest(table: Table, name: str = "forest", column: int = 0) -> Chart:
     unit = next((f" ({cell.unit})" for _, cell in known if cell.unit), "")
     heading, rows = table.columns[column + 1], [label for label, _ in known]
     alt = f"{heading}: {'; '.join(f'{label} {cell}' for label, cell in known)}."
-    return Chart(name, table.title, [marks], heading + unit, rows=rows, zero=True, alt=alt)
+    return Chart(name, table.title, [marks], heading + unit, rows=rows, zero=True, alt=alt, x_range=_reach(marks))
+
+
+def _reach(marks: Series) -> tuple[float, float] | None:
+    """Return the range of a chart that some intervals run out of; ``None``: all are shown whole."""
+    values, low, high = (np.array(ends, float) for ends in (marks.x, marks.low, marks.high))
+    widths = high - low
+    shown = ~(widths > FAR * np.median(widths[np.isfinite(widths)])) if np.isfinite(widths).any() else np.isnan(widths)
+    if shown.all():
+        return None
+    ends = np.concatenate([values, low[shown], high[shown], [0.0]])
+    least, most = np.nanmin(ends), np.nanmax(ends)
+    return least - 0.05 * (most - least), most + 0.05 * (most - least)
 
 
 def tradeoff(summary: Mapping[str, Any]) -> Chart | None:

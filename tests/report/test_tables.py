@@ -11,6 +11,7 @@ from izoo.metrics.cell import Cell
 from izoo.metrics.figures import FIGURES
 from izoo.metrics.summary import summarise
 from izoo.report import tables
+from izoo.report.plots import forest
 from izoo.report.tables import Row, Table
 from tests.report.made_tables import SEVERAL, table
 
@@ -119,3 +120,11 @@ def test_names_are_shown_as_they_are() -> None:
     assert "[red]a|b[/red]" in text and "\x1b" not in text
     assert "<script>" not in shown.html() and "<script>" in html.unescape(shown.html())
     assert "a\\|b" in shown.markdown() and "\\*x\\*" in shown.markdown()
+
+
+@pytest.mark.parametrize(("widest", "whole"), [(1.5, True), (24.0, False)])
+def test_one_wide_interval_does_not_squash_a_chart(widest: float, whole: bool) -> None:
+    values = {"ppo": (4.0, 0.5), "mappo": (3.0, 0.6), "ddpg": (1.0, widest), "glide": (9.0, None)}
+    rows = [(name, Cell(v) if w is None else Cell(v, v - w, v + w)) for name, (v, w) in values.items()]
+    reach = forest(Table.of("", ("entry", "CO2 saved"), rows)).x_range
+    assert reach is None if whole else reach == pytest.approx((-0.45, 9.45))
