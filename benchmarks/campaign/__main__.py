@@ -9,7 +9,7 @@ It may be stopped at any time; the same command goes on. It leaves a folder per 
         summary.json           figures of every task that was tested (izoo.metrics.summary)
         saved.png, curves.png  what entries saved; what training runs saved against decisions
         train/ENTRY/seedK/     run folders of izoo.train
-        leaderboard/ENTRY.json leaderboard files (izoo.report.leaderboard), once nothing is missing
+        leaderboard/ENTRY.json leaderboard files (izoo.report.leaderboard) of entries that lack nothing
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class CampaignConfig(CheckedOptions):
         out: folder of the results; null: ``results/EXPERIMENT`` in the current folder.
         parts: which parts to do, in their order in the experiment; empty: all.
         play: train and play what is missing; false: sum up what is there, and say what is missing.
-        dataset: folder of the measured intersections, for parts whose task needs it; without it they are left out.
+        dataset: folder of the measured intersections, for parts whose task needs it; without it they are not played.
         threads: of the twin; null: one per core.
         num_workers: processes that play SUMO; 0: this one.
         runs_at_once: training runs that learn at the same time, each in a process on its share of the cores.
@@ -75,10 +75,10 @@ def run(config: CampaignConfig) -> Path:
         if name not in experiment.parts:
             raise unknown_choice("parts", name, experiment.parts)
     runs, left_out = [], []
-    for name in experiment.parts:
-        if config.dataset is None and reads_folder(experiment.parts[name].task):
+    for name in [each for each in experiment.parts if not config.parts or each in config.parts]:
+        if config.play and config.dataset is None and reads_folder(experiment.parts[name].task):
             left_out.append(f"Part {name} needs dataset=FOLDER, and is left out.")
-        elif not config.parts or name in config.parts:
+        else:
             runs.append(PartRun(experiment, name, folder, config))
     texts, said = [], []
     for each in runs:

@@ -23,6 +23,7 @@ from izoo.benchmarks.campaign.parallel_training import ParallelRuns
 from izoo.benchmarks.campaign.training_runs import TrainingRuns
 from izoo.cli.option_command import compose_config
 from izoo.conf.train_options import TrainConfig
+from izoo.contexts.context import Context
 from izoo.contexts.source import ContextList
 from izoo.cores import usable_cores
 from izoo.envs import REFERENCE, SIMULATORS
@@ -66,7 +67,8 @@ class PartRun:
         experiment: which it is of.
         name: of the part.
         folder: of the campaign.
-        machine: the campaign's options, of which those count that say how to run.
+        machine: the campaign's options, of which those count that say how to run. Without a dataset that the part
+            needs, what is there can be summed up.
 
     Raises:
         IzooError: the experiment names something that cannot be used.
@@ -78,10 +80,7 @@ class PartRun:
         self.part = experiment.parts[name]
         self.entries = {each: ("scripted", Entry(policy=each)) for each in BASELINES} | experiment.entries_of(name)
         self.task = self._task()
-        self.tests = {self.task.name: self.task.test_set(self.part.contexts)}
-        if self.part.training_contexts:
-            seen = limited(self.task.train.build(), self.part.training_contexts, self.task.test_seed + 1)
-            self.tests[self.task.name + TRAINING] = seen
+        self.tests = {} if machine.dataset is None and reads_folder(self.part.task) else self._tests()
         trainer = self.part.trained_in
         self.trainer = self if trainer is None else PartRun(experiment, trainer, folder, machine)
         # Composed before anything runs, so that an option that does not fit stops the campaign at once.
@@ -98,6 +97,14 @@ class PartRun:
         for config in trained.values():
             check_options(config)
         self.store = Store(self.folder, task=self.task.name, config=evaluated(self.task.env))
+
+    def _tests(self) -> dict[str, list[Context]]:
+        """Return the contexts of the tests, by the name of their task; those of the training too, if they are played."""
+        found = {self.task.name: self.task.test_set(self.part.contexts)}
+        if self.part.training_contexts:
+            seen = limited(self.task.train.build(), self.part.training_contexts, self.task.test_seed + 1)
+            found[self.task.name + TRAINING] = seen
+        return found
 
     def _task(self) -> Task:
         part = self.part
@@ -157,9 +164,16 @@ class PartRun:
         most = self.part.sumo_seeds
         return [name for name in able if name != REFERENCE or most is None or seed < most]
 
-    def missing(self) -> list[Job]:
-        """Return the jobs whose frames or rows are not there."""
-        return [job for job in self.jobs() if not self._is_there(job)]
+    def missing(self) -> list[Job] | None:
+        """Return the jobs whose frames or rows are not there; ``None``: the contexts are not here.
+
+        Runs whose tests have all been played are not missed.
+        """
+        if not self.tests:
+            return None
+        absent = [job for job in self.jobs() if not self._is_there(job)]
+        untested = {(job.entry, job.seed) for job in absent if job.kind == "test"}
+        return [job for job in absent if (job.entry, job.seed) in untested]
 
     def _is_there(self, job: Job) -> bool:
         if job.kind == "train":

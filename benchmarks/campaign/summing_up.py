@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from izoo.benchmarks.campaign.jobs import PartRun
+from izoo.benchmarks.campaign.jobs import Job, PartRun
 from izoo.console import counted
 from izoo.envs import SIMULATORS
 from izoo.files import write_json
@@ -44,8 +44,14 @@ COSTS = ("co2_g", "delay_s")
 DASHES = ("-", "--", ":", "-.")
 
 
-def sum_up(run: PartRun, lacking: Sequence[Any] = ()) -> list[Summary]:
-    """Write the summaries, figures and leaderboard files of a part's folder; return the summaries, by task."""
+def sum_up(run: PartRun, lacking: Sequence[Job] | None) -> list[Summary]:
+    """Write the summaries, figures and leaderboard files of a part's folder; return the summaries, by task.
+
+    Args:
+        run: the part.
+        lacking: what is missing of it. Entries that lack nothing where they are shown have leaderboard files; if
+            ``None``, it is not known, and none has.
+    """
     folder = run.folder
     if not (folder / MANIFEST_FILE).exists():
         return []
@@ -68,8 +74,10 @@ def sum_up(run: PartRun, lacking: Sequence[Any] = ()) -> list[Summary]:
             draw([*charts, *([traded] if traded else [])], shown.title.removesuffix(" but for one column")),
             folder / PICTURE_FILE,
         )
-    if not lacking:
-        write_entries(folder)
+    if found and lacking is not None:
+        unfinished = {job.entry for job in lacking if job.simulator == found[0]["simulators"][0]}
+        if unfinished.isdisjoint(BASELINES):
+            write_entries(folder, but=unfinished)
     curves = draw_curves(folder, run.part.grid)
     if curves:
         save(draw(curves, columns=2), folder / CURVES_FILE)
@@ -257,8 +265,10 @@ def on_front(summary: Mapping[str, Any]) -> list[str]:
     return [name for name, mine in costs.items() if not dominated(mine)]
 
 
-def missing_words(lacking: Sequence[Any]) -> str:
+def missing_words(lacking: Sequence[Job] | None) -> str:
     """Say which jobs are missing: the first ones, and how many."""
+    if lacking is None:
+        return "What is missing, and leaderboard files, need dataset=FOLDER."
     if not lacking:
         return ""
     more = ", ..." if len(lacking) > 3 else ""

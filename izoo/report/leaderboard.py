@@ -13,7 +13,7 @@ import dataclasses
 import functools
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
@@ -63,13 +63,18 @@ def schema() -> dict[str, Any]:
     return json.loads((resources.files("izoo.report") / SCHEMA_FILE).read_text())
 
 
-def write_entries(folder: Path) -> list[Path]:
-    """Write the file of every entry of a results folder into ``leaderboard`` there; return their paths."""
+def write_entries(folder: Path, but: Collection[str] = ()) -> list[Path]:
+    """Write the file of every entry of a results folder into ``leaderboard`` there; return their paths.
+
+    Args:
+        folder: of the results.
+        but: entries that get none.
+    """
     table, manifest, written = read_table(folder), read_manifest(folder), []
     out = folder / FOLDER
     out.mkdir(parents=True, exist_ok=True)
     table = table[(table["task"] == manifest.task) & (table["simulator"] == simulators(table)[0])]
-    for name in sorted(set(table["policy"]) - {PLANNER, *BASELINES}):
+    for name in sorted(set(table["policy"]) - {PLANNER, *BASELINES, *but}):
         records = manifest.policies.get(name, {0: PolicyRecord()})
         first = next(iter(records.values()))
         about = {"name": name, "kind": first.kind, "algo": first.algo, "frames": first.frames}

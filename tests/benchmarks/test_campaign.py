@@ -226,6 +226,17 @@ def test_the_planner_stands_beside_no_entry(tmp_path: Path) -> None:
     assert "planner" not in tables and "| planner |" in rest
     (evaluation,) = collect(tmp_path / "busy_lane", partial=True).evaluations
     assert "planner" not in evaluation.policies and "glide" in evaluation.policies
+    written = {path.stem for path in (tmp_path / "busy_lane/leaderboard").glob("*.json")}
+    assert {"ppo", "glide"} <= written and "cmaes" not in written, "three of its seeds are missing"
+
+
+@pytest.mark.slow
+def test_rows_are_summed_up_without_the_dataset(tmp_path: Path) -> None:
+    shutil.copytree(REFERENCE / "measured", tmp_path / "measured")
+    assert campaign.main(["experiment=reference", "parts=[measured]", "play=false", f"out={tmp_path}"]) == 0
+    text = (tmp_path / "tables.md").read_text()
+    assert "need dataset=FOLDER" in text and "CO2 saved" in text and "Still missing" not in text
+    assert not (tmp_path / "measured/leaderboard").exists()
 
 
 def test_in_the_papers_form_its_figures_stand_beside_the_entries() -> None:
