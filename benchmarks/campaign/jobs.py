@@ -99,7 +99,7 @@ class PartRun:
         self.store = Store(self.folder, task=self.task.name, config=evaluated(self.task.env))
 
     def _tests(self) -> dict[str, list[Context]]:
-        """Return the contexts of the tests, by the name of their task; those of the training too, if they are played."""
+        """Return the contexts of the tests, by the name of their task; those of the training too, where played."""
         found = {self.task.name: self.task.test_set(self.part.contexts)}
         if self.part.training_contexts:
             seen = limited(self.task.train.build(), self.part.training_contexts, self.task.test_seed + 1)
