@@ -79,7 +79,7 @@ def test_a_part_tests_what_another_one_trained_under_other_conditions(tmp_path: 
     assert run.trainer.name == "measured" and run.task.name == "measured, adoption=1"
     assert {context.adoption for context in run.tests[run.task.name]} == {1.0}
     assert not any(job.kind == "train" for job in run.jobs())
-    assert run.configs["ppo", 1] == run.trainer.configs["ppo", 1]
+    assert run.configs["mappo", 1] == run.trainer.configs["mappo", 1]
     after = made("reference", "busy_lane", tmp_path).configs["mappo_after_imitation", 2]
     assert after.start == str(tmp_path / "busy_lane" / "train" / "imitation" / "seed2") and after.algo.name == "mappo"
 
