@@ -230,17 +230,26 @@ def check(content: Mapping[str, Any], table: pd.DataFrame, source: str) -> Entry
     faults, notes, policy = [], [], content["policy"]
     if content_hash(content) != content["hash"]:
         faults.append("the hash does not match: the file was changed after it was written")
-    seeds = max(1, table.loc[table["policy"] == policy["name"], "train_seed"].nunique())
-    wanted = len(table[list(PAIR)].drop_duplicates())
-    for name in dict.fromkeys((policy["name"], *BASELINES)):
-        lacking = wanted * (seeds if name == policy["name"] else 1) - int((table["policy"] == name).sum())
-        faults += [f"rows of {name} are missing: {lacking}"] if lacking else []
+    own = table[table["policy"] == policy["name"]]
+    seeds = max(1, own["train_seed"].nunique())
+    faults += [f"rows of {name} are missing" for name in (policy["name"], *BASELINES) if _lacks_rows(table, name)]
     faults += [f"rows contradict themselves: {what}" for what in contradictions(table)]
     if policy["kind"] == "trained" and seeds < MIN_TRAIN_SEEDS:
         notes.append(f"{counted(seeds, 'training seed')} of {MIN_TRAIN_SEEDS}")
     if REFERENCE not in (played := set(table["simulator"])):
         notes.append(f"played on {' and '.join(SIMULATORS[name].label for name in sorted(played))}")
     return Entry(source, {k: v for k, v in content.items() if k != "rows"}, table, tuple(faults), tuple(notes))
+
+
+def _lacks_rows(table: pd.DataFrame, policy: str) -> bool:
+    """Whether a policy lacks an episode of the table, or one of its training seeds has fewer than another one.
+
+    Training seeds may have played the same episodes (:mod:`izoo.evaluate`) or each its own (campaigns).
+    """
+    own = table[table["policy"] == policy]
+    counts = own.groupby(["train_seed", "context_hash"]).size().unstack(fill_value=0)
+    pairs = [len(of[list(PAIR)].drop_duplicates()) for of in (own, table)]
+    return pairs[0] < pairs[1] or bool((counts != counts.max()).to_numpy().any())
 
 
 def contradictions(table: pd.DataFrame) -> list[str]:

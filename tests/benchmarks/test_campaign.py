@@ -228,6 +228,7 @@ def test_the_planner_stands_beside_no_entry(tmp_path: Path) -> None:
     assert "planner" not in evaluation.policies and "glide" in evaluation.policies
     written = {path.stem for path in (tmp_path / "busy_lane/leaderboard").glob("*.json")}
     assert {"ppo", "glide"} <= written and "cmaes" not in written, "three of its seeds are missing"
+    assert leaderboard(["validate", str(tmp_path / "busy_lane/leaderboard")]) == 0, "all are ranked"
 
 
 @pytest.mark.slow

@@ -80,8 +80,13 @@ def test_what_is_wrong_with_a_file_is_a_mark() -> None:
     assert marks(other) == (f"model version {MODEL_VERSION + 1} of the simulation, not {MODEL_VERSION}",)
     made = table({"ppo": PPO})
     few = made.drop(made.index[(made["policy"] == "ppo") & (made["context_id"] == 3)])
-    assert marks(content(few)) == ("rows of ppo are missing: 4",)
-    assert marks(content(made[made["policy"] != "human"])) == ("rows of human are missing: 12",)
+    assert marks(content(few)) == ("rows of ppo are missing",)
+    assert marks(content(made[made["policy"] != "human"])) == ("rows of human are missing",)
+    each = table({"ppo": PPO}, seeds=4)
+    each = each[(each["policy"] != "ppo") | (each["seed"] == each["train_seed"] + 1)]
+    assert marks(content(each)) == (), "each training seed has played episodes of its own"
+    first = each[(each["context_id"] != 3) | (each["seed"] != 1)]
+    assert marks(content(first)) == ("rows of ppo are missing",), "seed 0 has left one out"
     few = check(content(table({"ppo": (0.06, -1.0, 2)})), table({"ppo": (0.06, -1.0, 2)}), "file")
     assert few.marks == () and few.notes == ("2 training seeds of 4",)
     twin = content(made.assign(simulator="twin"))
