@@ -167,13 +167,17 @@ class PartRun:
     def missing(self) -> list[Job] | None:
         """Return the jobs whose frames or rows are not there; ``None``: the contexts are not here.
 
-        Runs whose tests have all been played are not missed.
+        Runs that are gone are not missed, if their tests have all been played.
         """
         if not self.tests:
             return None
         absent = [job for job in self.jobs() if not self._is_there(job)]
         untested = {(job.entry, job.seed) for job in absent if job.kind == "test"}
-        return [job for job in absent if (job.entry, job.seed) in untested]
+        return [job for job in absent if (job.entry, job.seed) in untested or self.has_begun(job)]
+
+    def has_begun(self, job: Job) -> bool:
+        """Whether a job is a training run that has a checkpoint."""
+        return job.kind == "train" and self.runs.frames((job.entry, job.seed)) > 0
 
     def _is_there(self, job: Job) -> bool:
         if job.kind == "train":

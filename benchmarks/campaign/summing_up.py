@@ -50,7 +50,7 @@ def sum_up(run: PartRun, lacking: Sequence[Job] | None) -> list[Summary]:
     Args:
         run: the part.
         lacking: what is missing of it. Entries that lack nothing where they are shown have leaderboard files; if
-            ``None``, it is not known, and none has.
+            ``None``, it is not known, and none is written.
     """
     folder = run.folder
     if not (folder / MANIFEST_FILE).exists():
@@ -75,7 +75,8 @@ def sum_up(run: PartRun, lacking: Sequence[Job] | None) -> list[Summary]:
             folder / PICTURE_FILE,
         )
     if found and lacking is not None:
-        unfinished = {job.entry for job in lacking if job.simulator == found[0]["simulators"][0]}
+        shown_on = found[0]["simulators"][0]
+        unfinished = {job.entry for job in lacking if job.simulator == shown_on or run.has_begun(job)}
         if unfinished.isdisjoint(BASELINES):
             write_entries(folder, but=unfinished)
     curves = draw_curves(folder, run.part.grid)
@@ -268,7 +269,7 @@ def on_front(summary: Mapping[str, Any]) -> list[str]:
 def missing_words(lacking: Sequence[Job] | None) -> str:
     """Say which jobs are missing: the first ones, and how many."""
     if lacking is None:
-        return "What is missing, and leaderboard files, need dataset=FOLDER."
+        return "Give dataset=FOLDER to see what is missing, and to write leaderboard files."
     if not lacking:
         return ""
     more = ", ..." if len(lacking) > 3 else ""

@@ -68,22 +68,29 @@ def write_entries(folder: Path, but: Collection[str] = ()) -> list[Path]:
 
     Args:
         folder: of the results.
-        but: entries that get none.
+        but: entries that get none; an earlier one's is deleted.
     """
     table, manifest, written = read_table(folder), read_manifest(folder), []
     out = folder / FOLDER
     out.mkdir(parents=True, exist_ok=True)
-    table = table[(table["task"] == manifest.task) & (table["simulator"] == simulators(table)[0])]
-    for name in sorted(set(table["policy"]) - {PLANNER, *BASELINES, *but}):
+    table = table[(table["task"] == manifest.task) & (table["policy"] != PLANNER)]
+    table = table[table["simulator"] == simulators(table)[0]]
+    for name in but:
+        (out / _file_name(name)).unlink(missing_ok=True)
+    for name in sorted(set(table["policy"]) - {*BASELINES, *but}):
         records = manifest.policies.get(name, {0: PolicyRecord()})
         first = next(iter(records.values()))
         about = {"name": name, "kind": first.kind, "algo": first.algo, "frames": first.frames}
         about["weights"] = [record.weights for record in records.values() if record.weights]
         rows = table[table["policy"].isin({name, *BASELINES})]
         content = make_entry(about, manifest.task, manifest.model_version, manifest.versions, rows)
-        written.append(out / f"{name.replace('/', '_')}.json")
+        written.append(out / _file_name(name))
         write_entry(written[-1], content)
     return written
+
+
+def _file_name(policy: str) -> str:
+    return f"{policy.replace('/', '_')}.json"
 
 
 def make_entry(
@@ -144,6 +151,8 @@ def unpacked(rows: Mapping[str, Any]) -> pd.DataFrame:
         if name not in WHOLE and (numbers.abs() > LARGEST).any():
             raise IzooError(f"rows/{name}: a number is beyond {LARGEST:g}.")
         table[name] = table[name].astype("Int64") if name in WHOLE else numbers
+    if table[list(KEY)].isna().any(axis=None):
+        raise IzooError(f"rows: {', '.join(KEY)} must be there in every row.")
     if table.duplicated(list(KEY)).any():
         raise IzooError("rows: an episode's approach is there twice.")
     return table.reindex(columns=[name for name in COLUMNS if name in table or not name.startswith("episode_")])
@@ -232,7 +241,8 @@ def check(content: Mapping[str, Any], table: pd.DataFrame, source: str) -> Entry
         faults.append("the hash does not match: the file was changed after it was written")
     own = table[table["policy"] == policy["name"]]
     seeds = max(1, own["train_seed"].nunique())
-    faults += [f"rows of {name} are missing" for name in (policy["name"], *BASELINES) if _lacks_rows(table, name)]
+    names = dict.fromkeys((policy["name"], *BASELINES))
+    faults += [f"rows of {name} are missing" for name in names if _lacks_rows(table, name)]
     faults += [f"rows contradict themselves: {what}" for what in contradictions(table)]
     if policy["kind"] == "trained" and seeds < MIN_TRAIN_SEEDS:
         notes.append(f"{counted(seeds, 'training seed')} of {MIN_TRAIN_SEEDS}")
@@ -244,12 +254,15 @@ def check(content: Mapping[str, Any], table: pd.DataFrame, source: str) -> Entry
 def _lacks_rows(table: pd.DataFrame, policy: str) -> bool:
     """Whether a policy lacks an episode of the table, or one of its training seeds has fewer than another one.
 
-    Training seeds may have played the same episodes (:mod:`izoo.evaluate`) or each its own (campaigns).
+    Training seeds have played the same episodes (:mod:`izoo.evaluate`), or each its own (campaigns).
     """
     own = table[table["policy"] == policy]
-    counts = own.groupby(["train_seed", "context_hash"]).size().unstack(fill_value=0)
-    pairs = [len(of[list(PAIR)].drop_duplicates()) for of in (own, table)]
-    return pairs[0] < pairs[1] or bool((counts != counts.max()).to_numpy().any())
+    times = own.groupby(list(PAIR)).size()
+    if len(times) < len(table[list(PAIR)].drop_duplicates()):
+        return True
+    counts = own.groupby(["train_seed", "simulator", "context_hash", "approach"]).size().unstack(0, fill_value=0)
+    seeds = counts.shape[1]
+    return not (counts.eq(counts.iloc[:, 0], axis=0).to_numpy().all() and (times.eq(1).all() or times.eq(seeds).all()))
 
 
 def contradictions(table: pd.DataFrame) -> list[str]:

@@ -65,8 +65,9 @@ def _reach(marks: Series) -> tuple[float, float] | None:
     """Return the range of a chart that some intervals run out of; ``None``: all are shown whole."""
     values, low, high = (np.array(ends, float) for ends in (marks.x, marks.low, marks.high))
     widths = high - low
-    shown = ~(widths > FAR * np.median(widths[np.isfinite(widths)])) if np.isfinite(widths).any() else np.isnan(widths)
-    if shown.all():
+    usual = np.median(widths[np.isfinite(widths)]) if np.isfinite(widths).any() else 0.0
+    shown = ~(widths > FAR * usual)
+    if usual == 0.0 or shown.all():
         return None
     ends = np.concatenate([values, low[shown], high[shown], [0.0]])
     least, most = np.nanmin(ends), np.nanmax(ends)

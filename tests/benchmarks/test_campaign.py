@@ -236,7 +236,7 @@ def test_rows_are_summed_up_without_the_dataset(tmp_path: Path) -> None:
     shutil.copytree(REFERENCE / "measured", tmp_path / "measured")
     assert campaign.main(["experiment=reference", "parts=[measured]", "play=false", f"out={tmp_path}"]) == 0
     text = (tmp_path / "tables.md").read_text()
-    assert "need dataset=FOLDER" in text and "CO2 saved" in text and "Still missing" not in text
+    assert "Give dataset=FOLDER" in text and "CO2 saved" in text and "Still missing" not in text
     assert not (tmp_path / "measured/leaderboard").exists()
 
 

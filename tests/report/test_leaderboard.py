@@ -87,6 +87,9 @@ def test_what_is_wrong_with_a_file_is_a_mark() -> None:
     assert marks(content(each)) == (), "each training seed has played episodes of its own"
     first = each[(each["context_id"] != 3) | (each["seed"] != 1)]
     assert marks(content(first)) == ("rows of ppo are missing",), "seed 0 has left one out"
+    picked = table({"ppo": PPO}, seeds=4)
+    picked = picked[(picked["policy"] != "ppo") | (picked["seed"] != picked["train_seed"] + 1)]
+    assert marks(content(picked)) == ("rows of ppo are missing",), "each seed has left out another one"
     few = check(content(table({"ppo": (0.06, -1.0, 2)})), table({"ppo": (0.06, -1.0, 2)}), "file")
     assert few.marks == () and few.notes == ("2 training seeds of 4",)
     twin = content(made.assign(simulator="twin"))
