@@ -75,7 +75,9 @@ def run(config: CampaignConfig) -> Path:
         if name not in experiment.parts:
             raise unknown_choice("parts", name, experiment.parts)
     runs, left_out = [], []
-    for name in [each for each in experiment.parts if not config.parts or each in config.parts]:
+    for name in experiment.parts:
+        if config.parts and name not in config.parts:
+            continue
         if config.play and config.dataset is None and reads_folder(experiment.parts[name].task):
             left_out.append(f"Part {name} needs dataset=FOLDER, and is left out.")
         else:

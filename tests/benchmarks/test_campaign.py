@@ -13,6 +13,9 @@ import yaml
 from matplotlib import image
 
 from izoo.benchmarks.campaign import __main__ as campaign
+from izoo.benchmarks.campaign.__main__ import CampaignConfig
+from izoo.benchmarks.campaign.experiment import read_experiment
+from izoo.benchmarks.campaign.jobs import PartRun
 from izoo.benchmarks.campaign.summing_up import agreement, beside_paper, costs, draw_curves, headroom, on_front
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
@@ -229,6 +232,10 @@ def test_the_planner_stands_beside_no_entry(tmp_path: Path) -> None:
     written = {path.stem for path in (tmp_path / "busy_lane/leaderboard").glob("*.json")}
     assert {"ppo", "glide"} <= written and "cmaes" not in written, "three of its seeds are missing"
     assert leaderboard(["validate", str(tmp_path / "busy_lane/leaderboard")]) == 0, "all are ranked"
+    run = PartRun(read_experiment("reference"), "busy_lane", tmp_path, CampaignConfig())
+    run.store.read(mend=False)
+    trained = {job.entry for job in run.missing() or [] if job.kind == "train"}
+    assert "cmaes" in trained and "ppo_arrive" not in trained, "its run is gone, but everything has been played"
 
 
 @pytest.mark.slow
