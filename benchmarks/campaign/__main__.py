@@ -7,7 +7,8 @@ It may be stopped at any time; the same command goes on. It leaves a folder per 
       PART/
         rows.csv, manifest.json, contexts.json.gz   what was played (izoo.results.store)
         summary.json           figures of every task that was tested (izoo.metrics.summary)
-        saved.png, curves.png  what entries saved; what training runs saved against decisions
+        learning.csv           what training runs cost and saved by each validation; run folders may go then
+        saved.png, curves.png  what entries saved; what training runs saved against decisions and core-hours
         train/ENTRY/seedK/     run folders of izoo.train
         leaderboard/ENTRY.json leaderboard files (izoo.report.leaderboard) of entries that lack nothing
 """

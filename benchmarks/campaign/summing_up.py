@@ -6,15 +6,14 @@ Everything is read from the part's folder, so a folder that an earlier campaign 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from izoo.benchmarks.campaign.jobs import Job, PartRun
+from izoo.benchmarks.campaign.learning_curves import costs, draw_curves, gather
 from izoo.console import counted
 from izoo.envs import SIMULATORS
 from izoo.files import write_json
@@ -27,21 +26,14 @@ from izoo.metrics.summary import TRAINING, Summary, summarise
 from izoo.report import plots, tables
 from izoo.report.leaderboard import write_entries
 from izoo.report.paper_results import paper_table, published_for
-from izoo.report.report_data import TRAIN_FOLDER
 from izoo.report.tables import SAVED, Table
 from izoo.results.schema import EPISODE
 from izoo.results.store import MANIFEST_FILE, read_manifest, read_table
-from izoo.training import run_folder
-from izoo.training.loggers import MetricsTable
-from izoo.training.plots import PALETTE, Chart, Line, Series, band, draw, save
-from izoo.training.validation import VALIDATION_FILE
+from izoo.training.plots import draw, save
 
 SUMMARY_FILE, CURVES_FILE, PICTURE_FILE = "summary.json", "curves.png", "saved.png"
-DRAWN = {SAVED: ("CO2 saved (%)", (-10.0, 100.0)), plots.DELAY: ("delay added (s)", (-100.0, 20.0))}
-"""Figures of the curves, and beyond which values they are cut off: one bad run would hide all others."""
 COSTS = ("co2_g", "delay_s")
 """Figures that are traded; lower is better."""
-DASHES = ("-", "--", ":", "-.")
 
 
 def sum_up(run: PartRun, lacking: Sequence[Job] | None) -> list[Summary]:
@@ -79,7 +71,7 @@ def sum_up(run: PartRun, lacking: Sequence[Job] | None) -> list[Summary]:
         unfinished = {job.entry for job in lacking if job.simulator == shown_on or run.has_begun(job)}
         if unfinished.isdisjoint(BASELINES):
             write_entries(folder, but=unfinished)
-    curves = draw_curves(folder, run.part.grid)
+    curves = draw_curves(gather(folder), run.part.grid)
     if curves:
         save(draw(curves, columns=2), folder / CURVES_FILE)
     return found
@@ -100,7 +92,7 @@ def as_tables(run: PartRun, summary: Summary) -> list[Table]:
     shown += [tables.pairwise(summary)] if summary["pairwise"] else []
     return [
         each
-        for each in (*shown, beside_paper(table, summary), headroom(table), agreement(table), costs(run.folder))
+        for each in (*shown, beside_paper(table, summary), headroom(table), agreement(table), costs(gather(run.folder)))
         if each is not None and each.rows
     ]
 
@@ -158,86 +150,6 @@ def headroom(table: pd.DataFrame) -> Table | None:
     ]
     title = f"Headroom: {counted(summary['n']['contexts'], 'context')} that the planner played"
     return Table.of(title, ("entry", FIGURES[SAVED].label, "share of the planner's"), rows)
-
-
-def costs(folder: Path) -> Table:
-    """Return what training cost, a row per entry, mean over its runs.
-
-    Core-hours are processor time, with validations beside training. What a run did not record is missing.
-    """
-    rows = []
-    for name, runs in _runs(folder).items():
-        decisions, simulated_h, core_h = np.mean([_spent(run) for run in runs], axis=0)
-        spent = ((decisions, ",.0f"), (simulated_h, ",.0f"), (core_h, ".2f"))
-        rows.append((name, len(runs), *("-" if np.isnan(value) else f"{value:{form}}" for value, form in spent)))
-    title = "Cost of a training run; core-hours are processor time while it trained"
-    return Table.of(title, ("entry", "runs", "decisions", "simulated hours", "core-hours"), rows)
-
-
-def _spent(run: Path) -> tuple[float, float, float]:
-    config, table = run_folder.read_config(run), MetricsTable.read(run / run_folder.METRICS_FILE)
-    decisions, episodes, worked_s = (table.series(name)[1] for name in ("decisions", "episodes", "processor_s"))
-    simulated_h = max(episodes, default=0.0) * config.env.horizon_s / 3600.0
-    return sum(decisions) or np.nan, simulated_h, sum(worked_s) / 3600.0 if worked_s else np.nan
-
-
-def _runs(folder: Path) -> dict[str, list[Path]]:
-    """Return the training runs of a part by entry."""
-    found: dict[str, list[Path]] = {}
-    for path in sorted((folder / TRAIN_FOLDER).glob(f"*/seed*/{run_folder.METRICS_FILE}")):
-        found.setdefault(path.parent.parent.name, []).append(path.parent)
-    return found
-
-
-def draw_curves(folder: Path, grid: Mapping[str, Mapping[str, Any]] | None = None) -> list[Chart]:
-    """Return charts of what validations found against decisions: a line per entry, with a band over its seeds.
-
-    Args:
-        grid: values of each factor by name. Of entries that combine them, the first factor's value says the colour, the
-            second one's the dashes, and the third one's the chart; other entries stand in every chart.
-    """
-    factors, runs = [list(values) for values in (grid or {}).values()], _runs(folder)
-    places = {
-        "-".join(map(str, values)): [of.index(value) for of, value in zip(factors, values, strict=True)]
-        for values in itertools.product(*factors)
-    }
-    first = len(factors[0]) if factors else 0  # colours of the others follow
-    others = {name: [first + number] for number, name in enumerate(name for name in runs if name not in places)}
-    panels = factors[2] if len(factors) > 2 else [""]
-    charts = []
-    for (number, panel), (column, (label, limits)) in itertools.product(enumerate(panels), DRAWN.items()):
-        series: list[Series] = []
-        for name in runs:
-            own = places.get(name) or others[name]
-            if len(own) < 3 or own[2] == number:
-                dash = DASHES[(own[1] if len(own) > 1 else own[0] // len(PALETTE)) % len(DASHES)]
-                shown = name.removesuffix(f"-{panel}") if panel else name
-                lines = [curve(run, column) for run in runs[name]]
-                series += _marks(lines, shown, PALETTE[own[0] % len(PALETTE)], dash)
-        if series:
-            title = f"{label}, {panel}" if panel else label
-            values = np.concatenate([np.ravel(one.y) for one in series])
-            known = values[(limits[0] < values) & (values < limits[1])]
-            ends = (max(known.min() - 0.5, limits[0]), min(known.max() + 0.5, limits[1])) if len(known) else None
-            name = f"{column}-{panel}".strip("-")
-            charts.append(Chart(name, title, series, "decisions", y_range=ends, log_x=True))
-    return charts
-
-
-def _marks(lines: Sequence[Line], name: str, colour: str, dash: str) -> list[Series]:
-    between = band(lines)
-    if between is None:
-        return [Series(x, y, name, colour=colour, dash=dash) for x, y in lines if len(x)]
-    x, lowest, mean, highest = between
-    return [Series(x, mean, name, "band", lowest, highest, colour), Series(x, mean, name, colour=colour, dash=dash)]
-
-
-def curve(run: Path, column: str) -> Line:
-    """Return a column of a run's validations, and the decisions that it had learned from by then."""
-    measured, validated = (MetricsTable.read(run / name) for name in (run_folder.METRICS_FILE, VALIDATION_FILE))
-    frames, rows = measured.series("decisions")
-    at, values = validated.series(column)
-    return (np.interp(at, frames, np.cumsum(rows)), np.array(values)) if frames else (np.zeros(0), np.zeros(0))
 
 
 def verdict(run: PartRun, summary: Summary) -> str:

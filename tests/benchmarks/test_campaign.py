@@ -16,7 +16,8 @@ from izoo.benchmarks.campaign import __main__ as campaign
 from izoo.benchmarks.campaign.__main__ import CampaignConfig
 from izoo.benchmarks.campaign.experiment import read_experiment
 from izoo.benchmarks.campaign.jobs import PartRun
-from izoo.benchmarks.campaign.summing_up import agreement, beside_paper, costs, draw_curves, headroom, on_front
+from izoo.benchmarks.campaign.learning_curves import costs, draw_curves, gather
+from izoo.benchmarks.campaign.summing_up import agreement, beside_paper, headroom, on_front
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
 from izoo.files import claimed
@@ -122,7 +123,8 @@ def test_everything_is_there(done: Path) -> None:
     assert leaderboard(["validate", str(part / "leaderboard" / "ppo.json")]) == 0
     (evaluation,) = collect(part).evaluations
     assert set(evaluation.policies) == ENTRIES - {"human"} and list(collect(part).curves) == ["ppo"]
-    assert [chart.name for chart in draw_curves(part)] == ["co2_saved", "delay_change_s"]
+    names = ["co2_saved", "delay_change_s", "co2_saved-core_h", "delay_change_s-core_h"]
+    assert [chart.name for chart in draw_curves(gather(part))] == names
 
 
 @pytest.mark.slow
@@ -267,5 +269,21 @@ def test_costs_are_those_that_were_recorded(tmp_path: Path) -> None:
         for k in (1, 2):
             row = {"frames": 40 * k, "seconds": 9.0, "episodes": 18 * k, "decisions": 7, **more}
             MetricsTable(run / "metrics.csv", 40 * k - 1).append(row)
+        MetricsTable(run / "validation.csv").append({"frames": 40, "co2_saved": 1.5, "delay_change_s": -2.0})
     hours = f"{36 * TrainConfig().env.horizon_s / 3600:.0f}"
-    assert [row.cells for row in costs(tmp_path).rows] == [("1", "14", hours, "1.00"), ("1", "14", hours, "-")]
+    expected = [("1", "14", hours, "1.00"), ("1", "14", hours, "-")]
+    assert [row.cells for row in costs(gather(tmp_path)).rows] == expected
+    shutil.rmtree(tmp_path / "train" / "old")  # a run that is gone is still counted, one that goes on is renewed
+    run = tmp_path / "train" / "new" / "seed0"
+    row = {"frames": 120, "seconds": 9.0, "episodes": 54, "decisions": 7, "processor_s": 1800.0}
+    MetricsTable(run / "metrics.csv", 80).append(row)
+    MetricsTable(run / "validation.csv", 40).append({"frames": 120, "co2_saved": 2.5, "delay_change_s": 0.0})
+    table = gather(tmp_path)
+    more = f"{54 * TrainConfig().env.horizon_s / 3600:.0f}"
+    assert [row.cells for row in costs(table).rows] == [("1", "21", more, "1.50"), expected[1]]
+    saved, _, by_core_hours, _ = draw_curves(table)
+    assert [(series.name, list(series.x), list(series.y)) for series in saved.series] == [
+        ("new", [7.0, 21.0], [1.5, 2.5]),
+        ("old", [7.0], [1.5]),
+    ]
+    assert [(series.name, list(series.x)) for series in by_core_hours.series] == [("new", [0.5, 1.5])]

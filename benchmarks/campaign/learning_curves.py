@@ -1,0 +1,132 @@
+"""What the training runs of a part cost, and what they saved by then, in a table that outlives their folders."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from izoo.files import reading, write_text
+from izoo.report import plots
+from izoo.report.report_data import TRAIN_FOLDER
+from izoo.report.tables import SAVED, Table
+from izoo.training import run_folder
+from izoo.training.loggers import MetricsTable
+from izoo.training.plots import PALETTE, Chart, Line, Series, band
+from izoo.training.validation import VALIDATION_FILE
+
+LEARNING_FILE = "learning.csv"
+RUN = ["entry", "train_seed"]
+DRAWN = {SAVED: ("CO2 saved (%)", (-10.0, 100.0)), plots.DELAY: ("delay added (s)", (-100.0, 20.0))}
+"""Figures of the curves, and beyond which values they are cut off: one bad run would hide all others."""
+AGAINST = {"decisions": "decisions", "core_h": "core-hours"}
+DASHES = ("-", "--", ":", "-.")
+
+
+def gather(folder: Path) -> pd.DataFrame:
+    """Return what the training runs of a part had cost and saved at each of their validations and at their end.
+
+    The table is kept in the part's folder: rows of runs that are gone stay, those of runs that are there are renewed.
+
+    Returns:
+        A row per run and validation, in order: ``entry``, ``train_seed``, ``decisions``, ``simulated_h`` and ``core_h``
+        (processor time of training and validations) until then, and the figures of :data:`DRAWN`, which are missing
+        where a run ended without a validation. What a run did not record is missing.
+    """
+    path, runs = folder / LEARNING_FILE, sorted((folder / TRAIN_FOLDER).glob(f"*/seed*/{run_folder.METRICS_FILE}"))
+    table = pd.DataFrame(columns=[*RUN, "decisions", "simulated_h", "core_h", *DRAWN])
+    if path.exists():
+        with reading(path):
+            table = pd.read_csv(path)
+    if not runs:
+        return table
+    found = pd.concat([_learned(file.parent) for file in runs])
+    gone = ~pd.MultiIndex.from_frame(table[RUN]).isin(pd.MultiIndex.from_frame(found[RUN]))
+    table = pd.concat([each for each in (table[gone], found) if len(each)]).sort_values(RUN, kind="stable")
+    write_text(path, table.to_csv(index=False, float_format="%.7g"))
+    return table
+
+
+def _learned(run: Path) -> pd.DataFrame:
+    """Return the rows of a training run."""
+    hours = run_folder.read_config(run).env.horizon_s / 3600.0
+    measured, validated = (MetricsTable.read(run / name) for name in (run_folder.METRICS_FILE, VALIDATION_FILE))
+    last = measured.series("seconds")[0][-1:]
+    at = sorted({*validated.series(SAVED)[0], *last})
+
+    def until(column: str, summed: bool, unit: float = 1.0) -> list[float]:
+        frames, values = measured.series(column)
+        return list(np.interp(at, frames, np.cumsum(values) if summed else values) * unit) if frames else [np.nan]
+
+    figures = {name: dict(zip(*validated.series(name), strict=True)) for name in DRAWN}
+    columns = {
+        "entry": [run.parent.name],
+        "train_seed": [int(run.name.removeprefix("seed"))],
+        "decisions": until("decisions", summed=True),
+        "simulated_h": until("episodes", summed=False, unit=hours),
+        "core_h": until("processor_s", summed=True, unit=1.0 / 3600.0),
+        **{name: [values.get(frames, np.nan) for frames in at] for name, values in figures.items()},
+    }
+    return pd.DataFrame({name: np.broadcast_to(np.array(values), len(at)) for name, values in columns.items()})
+
+
+def costs(table: pd.DataFrame) -> Table:
+    """Return what training cost, a row per entry, mean over its runs."""
+    forms, rows = {"decisions": ",.0f", "simulated_h": ",.0f", "core_h": ",.2f"}, []
+    for name, runs in table.groupby(RUN, sort=False).tail(1).groupby("entry", sort=False):
+        spent = [(runs[column].mean(skipna=False), form) for column, form in forms.items()]
+        rows.append((str(name), len(runs), *("-" if np.isnan(value) else f"{value:{form}}" for value, form in spent)))
+    title = "Cost of a training run; core-hours are processor time while it trained"
+    return Table.of(title, ("entry", "runs", "decisions", "simulated hours", "core-hours"), rows)
+
+
+def draw_curves(table: pd.DataFrame, grid: Mapping[str, Mapping[str, Any]] | None = None) -> list[Chart]:
+    """Return charts of what validations found: a line per entry, with a band over its training seeds.
+
+    Args:
+        table: of :func:`gather`.
+        grid: values of each factor by name. Of entries that combine them, the first factor's value says the colour, the
+            second one's the dashes, and the third one's the chart; other entries stand in every chart. Without it there
+            are charts against core-hours beside those against decisions.
+    """
+    factors, names = [list(values) for values in (grid or {}).values()], list(dict.fromkeys(table["entry"]))
+    places = {
+        "-".join(map(str, values)): [of.index(value) for of, value in zip(factors, values, strict=True)]
+        for values in itertools.product(*factors)
+    }
+    first = len(factors[0]) if factors else 0  # colours of the others follow
+    others = {name: [first + number] for number, name in enumerate(name for name in names if name not in places)}
+    panels = factors[2] if len(factors) > 2 else [""]
+    charts = []
+    against = ["decisions"] if factors else list(AGAINST)
+    for cost, (number, panel), column in itertools.product(against, enumerate(panels), DRAWN):
+        label, limits = DRAWN[column]
+        series: list[Series] = []
+        for name in names:
+            own = places.get(name) or others[name]
+            if len(own) < 3 or own[2] == number:
+                dash = DASHES[(own[1] if len(own) > 1 else own[0] // len(PALETTE)) % len(DASHES)]
+                shown = name.removesuffix(f"-{panel}") if panel else name
+                runs = table[table["entry"] == name].dropna(subset=[cost, column]).groupby("train_seed")
+                lines = [(run[cost].to_numpy(float), run[column].to_numpy(float)) for _, run in runs]
+                series += _marks(lines, shown, PALETTE[own[0] % len(PALETTE)], dash)
+        if series:
+            values = np.concatenate([np.ravel(one.y) for one in series])
+            known = values[(limits[0] < values) & (values < limits[1])]
+            ends = (max(known.min() - 0.5, limits[0]), min(known.max() + 0.5, limits[1])) if len(known) else None
+            place = "-".join(filter(None, (column, panel, cost if cost != "decisions" else "")))
+            title = f"{label}, {panel}" if panel else label
+            charts.append(Chart(place, title, series, AGAINST[cost], y_range=ends, log_x=True))
+    return charts
+
+
+def _marks(lines: Sequence[Line], name: str, colour: str, dash: str) -> list[Series]:
+    between = band(lines)
+    if between is None:
+        return [Series(x, y, name, colour=colour, dash=dash) for x, y in lines if len(x)]
+    x, lowest, mean, highest = between
+    return [Series(x, mean, name, "band", lowest, highest, colour), Series(x, mean, name, colour=colour, dash=dash)]
