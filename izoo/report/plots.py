@@ -42,11 +42,15 @@ def colours(names: Sequence[str]) -> dict[str, str]:
 
 
 def forest(table: Table, name: str = "forest", column: int = 0) -> Chart:
-    """Return a column of a table with its intervals, a row per entry.
+    """Return a column of a table with its intervals, a row per entry, which names its group.
 
     An interval :data:`FAR` times as wide as the median one runs off the chart: else it would hide what the others say.
     """
-    cells = [(row.label, row.cells[column]) for row in table.rows]
+    cells = [
+        (f"{row.label}, {group}" if group else row.label, row.cells[column])
+        for group, rows in table.groups
+        for row in rows
+    ]
     known = [(label, cell) for label, cell in cells if isinstance(cell, Cell) and cell.value is not None]
     marks = Series(
         np.array([cell.value for _, cell in known], float),

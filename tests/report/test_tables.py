@@ -12,7 +12,7 @@ from izoo.metrics.figures import FIGURES
 from izoo.metrics.summary import summarise
 from izoo.report import tables
 from izoo.report.plots import forest
-from izoo.report.tables import Row, Table
+from izoo.report.tables import SLOWER, Row, Table
 from tests.report.made_tables import SEVERAL, table
 
 
@@ -120,6 +120,11 @@ def test_names_are_shown_as_they_are() -> None:
     assert "[red]a|b[/red]" in text and "\x1b" not in text
     assert "<script>" not in shown.html() and "<script>" in html.unescape(shown.html())
     assert "a\\|b" in shown.markdown() and "\\*x\\*" in shown.markdown()
+
+
+def test_a_chart_says_who_is_slower() -> None:
+    groups = (("", (Row("ppo", (Cell(4.0),)),)), (SLOWER, (Row("cap_0.6", (Cell(6.7),)),)))
+    assert forest(Table("", ("entry", "CO2 saved"), groups)).rows == ["ppo", "cap_0.6, slower"]
 
 
 @pytest.mark.parametrize(("widest", "whole"), [(1.5, True), (24.0, False)])
