@@ -25,9 +25,12 @@ FILES = argument("files", type=Path, nargs="+", help="leaderboard files, or fold
 def _validate(options: argparse.Namespace) -> int:
     """Say what is wrong with each file; return 1 where something was found to mark."""
     print(f"izoo {__version__} leaderboard", flush=True)
+    from izoo.report import leaderboard
+
     found = _read(options.files)
     for entry in found:
-        print(f"{plain(entry.source)}: " + ("marked" if entry.marks else "in order"))
+        state = "marked" if entry.marks else "in order"
+        print(f"{plain(entry.source)}: {state}, {leaderboard.played_on(entry.simulator)}")
         for word, texts in (("mark", entry.marks), ("note", entry.notes)):
             for text in texts:
                 print(f"  {word}: {plain(text)}")
@@ -58,12 +61,15 @@ def _merge(options: argparse.Namespace) -> None:
 
 
 def _said(group: Mapping[str, Any]) -> list[str]:
+    from izoo.report import leaderboard
+
+    played = f"{group['task']}, {leaderboard.played_on(group['simulator'])}:"
     marks = [
         plain(f"  {line['name']} ({line['source']}): {text}")
         for line in group["entries"]
         for text in (*line["marks"], *line["notes"])
     ]
-    return [*marks, *([plain(group["summary"]["verdict"])] if group.get("summary") else [])]
+    return [plain(played), *marks, *([plain(group["summary"]["verdict"])] if group.get("summary") else [])]
 
 
 @LEADERBOARD.command(

@@ -246,8 +246,6 @@ def check(content: Mapping[str, Any], table: pd.DataFrame, source: str) -> Entry
     faults += [f"rows contradict themselves: {what}" for what in contradictions(table)]
     if policy["kind"] == "trained" and seeds < MIN_TRAIN_SEEDS:
         notes.append(f"{counted(seeds, 'training seed')} of {MIN_TRAIN_SEEDS}")
-    if REFERENCE not in (played := set(table["simulator"])):
-        notes.append(f"played on {' and '.join(SIMULATORS[name].label for name in sorted(played))}")
     return Entry(source, {k: v for k, v in content.items() if k != "rows"}, table, tuple(faults), tuple(notes))
 
 
@@ -304,6 +302,11 @@ def board(group: Mapping[str, Any]) -> Table:
     if group["summary"] is None:
         return Table(group["task"], tables.entry_columns(), ())
     return tables.entries(group["summary"])
+
+
+def played_on(simulator: str) -> str:
+    """Say on which simulator entries were played."""
+    return f"played on {SIMULATORS[simulator].label}"
 
 
 def _ranked(named: Mapping[str, Entry]) -> dict[str, Any]:

@@ -92,8 +92,6 @@ def test_what_is_wrong_with_a_file_is_a_mark() -> None:
     assert marks(content(picked)) == ("rows of ppo are missing",), "each seed has left out another one"
     few = check(content(table({"ppo": (0.06, -1.0, 2)})), table({"ppo": (0.06, -1.0, 2)}), "file")
     assert few.marks == () and few.notes == ("2 training seeds of 4",)
-    twin = content(made.assign(simulator="twin"))
-    assert check(twin, unpacked(twin["rows"]), "file").notes == ("played on the twin",)
 
 
 CONTRADICTIONS = {
