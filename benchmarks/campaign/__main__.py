@@ -99,9 +99,11 @@ def run(config: CampaignConfig) -> Path:
             for table in shown if config.verbose else [shown[0].first(FIRST_ROWS)]:
                 table.show()
         said += [f"{each.name}: {absent}"] if absent else []
+    written = []
     if folder.is_dir():
         write_text(folder / TABLES_FILE, "\n\n".join(filter(None, [*texts, *left_out])) + "\n")
-    for line in [*left_out, f"Results: {folder}, {TABLES_FILE}", *said]:
+        written.append(f"Results: {folder}, {TABLES_FILE}")
+    for line in [*left_out, *written, *said]:
         print(line, flush=True)
     return folder
 

@@ -225,6 +225,8 @@ def test_headroom_is_a_share_of_what_the_planner_saves() -> None:
 def test_the_planner_stands_beside_no_entry(tmp_path: Path) -> None:
     """In the rows of the repository, which the page of results shows."""
     shutil.copytree(REFERENCE / "busy_lane", tmp_path / "busy_lane")
+    rows = tmp_path / "busy_lane" / "rows.csv"
+    rows.write_text("".join(line for line in rows.open() if ",cmaes,3," not in line))
     assert "planner" in set(read_table(tmp_path / "busy_lane")["policy"])
     assert campaign.main(["experiment=reference", "parts=[busy_lane]", "play=false", f"out={tmp_path}"]) == 0
     tables, _, rest = (tmp_path / "tables.md").read_text().partition("Headroom")
@@ -232,7 +234,7 @@ def test_the_planner_stands_beside_no_entry(tmp_path: Path) -> None:
     (evaluation,) = collect(tmp_path / "busy_lane", partial=True).evaluations
     assert "planner" not in evaluation.policies and "glide" in evaluation.policies
     written = {path.stem for path in (tmp_path / "busy_lane/leaderboard").glob("*.json")}
-    assert {"ppo", "glide"} <= written and "cmaes" not in written, "three of its seeds are missing"
+    assert {"ppo", "glide"} <= written and "cmaes" not in written, "one of its seeds is missing"
     assert leaderboard(["validate", str(tmp_path / "busy_lane/leaderboard")]) == 0, "all are ranked"
     run = PartRun(read_experiment("reference"), "busy_lane", tmp_path, CampaignConfig())
     run.store.read(mend=False)
