@@ -7,8 +7,8 @@ It may be stopped at any time; the same command goes on. It leaves a folder per 
       PART/
         rows.csv, manifest.json, contexts.json.gz   what was played (izoo.results.store)
         summary.json           figures of every task that was tested (izoo.metrics.summary)
-        learning.csv           what training runs cost and saved by each validation; run folders may go then
-        saved.png, curves.png  what entries saved; what training runs saved against decisions and core-hours
+        learning.csv           what training runs had cost and saved at each validation
+        saved.png, curves.png  what entries saved; what learning.csv says
         train/ENTRY/seedK/     run folders of izoo.train
         leaderboard/ENTRY.json leaderboard files (izoo.report.leaderboard) of entries that lack nothing
 """
@@ -66,6 +66,7 @@ def run(config: CampaignConfig) -> Path:
     from izoo.benchmarks.campaign import summing_up
     from izoo.benchmarks.campaign.experiment import read_experiment
     from izoo.benchmarks.campaign.jobs import PartRun, reads_folder
+    from izoo.benchmarks.campaign.learning_curves import update_learning
     from izoo.errors import unknown_choice
     from izoo.files import write_text
     from izoo.report.tables import FIRST_ROWS
@@ -92,8 +93,9 @@ def run(config: CampaignConfig) -> Path:
         lacking = each.missing()
         absent = summing_up.missing_words(lacking)
         texts += [f"## {each.name}", absent]
-        for summary in summing_up.sum_up(each, lacking):
-            shown = summing_up.as_tables(each, summary)
+        learning = update_learning(each.folder)
+        for summary in summing_up.sum_up(each, lacking, learning):
+            shown = summing_up.as_tables(each, summary, learning)
             said.append(f"{each.name}: {summing_up.verdict(each, summary)}")
             texts += [said[-1], *(f"{table.title}:\n\n{table.markdown()}" for table in shown)]
             for table in shown if config.verbose else [shown[0].first(FIRST_ROWS)]:

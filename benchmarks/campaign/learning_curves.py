@@ -1,4 +1,4 @@
-"""What the training runs of a part cost, and what they saved by then, in a table that outlives their folders."""
+"""Cost and savings of a part's training runs, in a table that stays when their folders are deleted."""
 
 from __future__ import annotations
 
@@ -23,31 +23,37 @@ LEARNING_FILE = "learning.csv"
 RUN = ["entry", "train_seed"]
 DRAWN = {SAVED: ("CO2 saved (%)", (-10.0, 100.0)), plots.DELAY: ("delay added (s)", (-100.0, 20.0))}
 """Figures of the curves, and beyond which values they are cut off: one bad run would hide all others."""
+COSTS = {"decisions": ",.0f", "simulated_h": ",.0f", "core_h": ",.2f"}
+"""Columns of what a run has spent, and how they are written."""
 AGAINST = {"decisions": "decisions", "core_h": "core-hours"}
 DASHES = ("-", "--", ":", "-.")
+TYPES: dict[str, type] = {"entry": str, "train_seed": int, **dict.fromkeys((*COSTS, *DRAWN), float)}
+"""Of the columns of the table."""
 
 
-def gather(folder: Path) -> pd.DataFrame:
-    """Return what the training runs of a part had cost and saved at each of their validations and at their end.
+def update_learning(folder: Path) -> pd.DataFrame:
+    """Bring the table of a part up to date, and return it: what training runs had cost and saved at each validation.
 
-    The table is kept in the part's folder: rows of runs that are gone stay, those of runs that are there are renewed.
+    Rows of deleted runs are kept; rows of existing runs are replaced.
 
     Returns:
-        A row per run and validation, in order: ``entry``, ``train_seed``, ``decisions``, ``simulated_h`` and ``core_h``
-        (processor time of training and validations) until then, and the figures of :data:`DRAWN`, which are missing
-        where a run ended without a validation. What a run did not record is missing.
+        A row per run and validation, and one for a run's end, in order: ``entry``, ``train_seed``, ``decisions``,
+        ``simulated_h`` and ``core_h`` (processor time of training and validations) so far, and the figures of
+        :data:`DRAWN`, which are missing where a run ended without a validation. What a run did not record is missing.
     """
-    path, runs = folder / LEARNING_FILE, sorted((folder / TRAIN_FOLDER).glob(f"*/seed*/{run_folder.METRICS_FILE}"))
-    table = pd.DataFrame(columns=[*RUN, "decisions", "simulated_h", "core_h", *DRAWN])
+    path, table = folder / LEARNING_FILE, pd.DataFrame(columns=list(TYPES))
     if path.exists():
+        missing = {name: [""] for name, kind in TYPES.items() if kind is float}
         with reading(path):
-            table = pd.read_csv(path)
-    if not runs:
+            table = pd.read_csv(path, dtype=TYPES, keep_default_na=False, na_values=missing)[list(TYPES)]
+    files = sorted((folder / TRAIN_FOLDER).glob(f"*/seed*/{run_folder.METRICS_FILE}"))
+    found = [_learned(file.parent) for file in files if file.parent.name.removeprefix("seed").isdecimal()]
+    if not any(map(len, found)):
         return table
-    found = pd.concat([_learned(file.parent) for file in runs])
-    gone = ~pd.MultiIndex.from_frame(table[RUN]).isin(pd.MultiIndex.from_frame(found[RUN]))
-    table = pd.concat([each for each in (table[gone], found) if len(each)]).sort_values(RUN, kind="stable")
-    write_text(path, table.to_csv(index=False, float_format="%.7g"))
+    new = pd.concat(found)
+    gone = ~pd.MultiIndex.from_frame(table[RUN]).isin(pd.MultiIndex.from_frame(new[RUN]))
+    table = pd.concat([each for each in (table[gone], new) if len(each)]).sort_values(RUN, kind="stable")
+    write_text(path, table.to_csv(index=False, float_format="%.10g"))
     return table
 
 
@@ -76,9 +82,9 @@ def _learned(run: Path) -> pd.DataFrame:
 
 def costs(table: pd.DataFrame) -> Table:
     """Return what training cost, a row per entry, mean over its runs."""
-    forms, rows = {"decisions": ",.0f", "simulated_h": ",.0f", "core_h": ",.2f"}, []
+    rows = []
     for name, runs in table.groupby(RUN, sort=False).tail(1).groupby("entry", sort=False):
-        spent = [(runs[column].mean(skipna=False), form) for column, form in forms.items()]
+        spent = [(runs[column].mean(skipna=False), form) for column, form in COSTS.items()]
         rows.append((str(name), len(runs), *("-" if np.isnan(value) else f"{value:{form}}" for value, form in spent)))
     title = "Cost of a training run; core-hours are processor time while it trained"
     return Table.of(title, ("entry", "runs", "decisions", "simulated hours", "core-hours"), rows)
@@ -88,10 +94,10 @@ def draw_curves(table: pd.DataFrame, grid: Mapping[str, Mapping[str, Any]] | Non
     """Return charts of what validations found: a line per entry, with a band over its training seeds.
 
     Args:
-        table: of :func:`gather`.
+        table: of :func:`update_learning`.
         grid: values of each factor by name. Of entries that combine them, the first factor's value says the colour, the
-            second one's the dashes, and the third one's the chart; other entries stand in every chart. Without it there
-            are charts against core-hours beside those against decisions.
+            second one's the dashes, and the third one's the chart; other entries stand in every chart. Without a grid,
+            charts against core-hours are added.
     """
     factors, names = [list(values) for values in (grid or {}).values()], list(dict.fromkeys(table["entry"]))
     places = {

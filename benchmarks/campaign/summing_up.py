@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from izoo.benchmarks.campaign.jobs import Job, PartRun
-from izoo.benchmarks.campaign.learning_curves import costs, draw_curves, gather
+from izoo.benchmarks.campaign.learning_curves import costs, draw_curves
 from izoo.console import counted
 from izoo.envs import SIMULATORS
 from izoo.files import write_json
@@ -36,13 +36,14 @@ COSTS = ("co2_g", "delay_s")
 """Figures that are traded; lower is better."""
 
 
-def sum_up(run: PartRun, lacking: Sequence[Job] | None) -> list[Summary]:
+def sum_up(run: PartRun, lacking: Sequence[Job] | None, learning: pd.DataFrame) -> list[Summary]:
     """Write the summaries, figures and leaderboard files of a part's folder; return the summaries, by task.
 
     Args:
         run: the part.
         lacking: what is missing of it. Entries that lack nothing where they are shown have leaderboard files; if
             ``None``, it is not known, and none is written.
+        learning: what its training runs cost and saved (:mod:`izoo.benchmarks.campaign.learning_curves`).
     """
     folder = run.folder
     if not (folder / MANIFEST_FILE).exists():
@@ -71,7 +72,7 @@ def sum_up(run: PartRun, lacking: Sequence[Job] | None) -> list[Summary]:
         unfinished = {job.entry for job in lacking if job.simulator == shown_on or run.has_begun(job)}
         if unfinished.isdisjoint(BASELINES):
             write_entries(folder, but=unfinished)
-    curves = draw_curves(gather(folder), run.part.grid)
+    curves = draw_curves(learning, run.part.grid)
     if curves:
         save(draw(curves, columns=2), folder / CURVES_FILE)
     return found
@@ -83,7 +84,7 @@ def _paired(table: pd.DataFrame) -> pd.DataFrame:
     return table[table["context_hash"].isin(set.intersection(*played))]
 
 
-def as_tables(run: PartRun, summary: Summary) -> list[Table]:
+def as_tables(run: PartRun, summary: Summary, learning: pd.DataFrame) -> list[Table]:
     """Return what is to be printed of a part: the headline, and everything that stands beside it."""
     table = read_table(run.folder)
     table = table[table["task"] == summary["task"]]
@@ -92,7 +93,7 @@ def as_tables(run: PartRun, summary: Summary) -> list[Table]:
     shown += [tables.pairwise(summary)] if summary["pairwise"] else []
     return [
         each
-        for each in (*shown, beside_paper(table, summary), headroom(table), agreement(table), costs(gather(run.folder)))
+        for each in (*shown, beside_paper(table, summary), headroom(table), agreement(table), costs(learning))
         if each is not None and each.rows
     ]
 

@@ -25,12 +25,9 @@ FILES = argument("files", type=Path, nargs="+", help="leaderboard files, or fold
 def _validate(options: argparse.Namespace) -> int:
     """Say what is wrong with each file; return 1 where something was found to mark."""
     print(f"izoo {__version__} leaderboard", flush=True)
-    from izoo.report import leaderboard
-
     found = _read(options.files)
     for entry in found:
-        state = "marked" if entry.marks else "in order"
-        print(f"{plain(entry.source)}: {state}, {leaderboard.played_on(entry.simulator)}")
+        print(f"{plain(entry.source)}: " + ("marked" if entry.marks else "in order"))
         for word, texts in (("mark", entry.marks), ("note", entry.notes)):
             for text in texts:
                 print(f"  {word}: {plain(text)}")
@@ -61,15 +58,12 @@ def _merge(options: argparse.Namespace) -> None:
 
 
 def _said(group: Mapping[str, Any]) -> list[str]:
-    from izoo.report import leaderboard
-
-    played = f"{group['task']}, {leaderboard.played_on(group['simulator'])}:"
     marks = [
         plain(f"  {line['name']} ({line['source']}): {text}")
         for line in group["entries"]
         for text in (*line["marks"], *line["notes"])
     ]
-    return [plain(played), *marks, *([plain(group["summary"]["verdict"])] if group.get("summary") else [])]
+    return [*marks, *([plain(group["summary"]["verdict"])] if group.get("summary") else [])]
 
 
 @LEADERBOARD.command(
@@ -92,8 +86,11 @@ def _table(options: argparse.Namespace) -> None:
     """Print nothing but the tables in Markdown, so that they can be put where they belong."""
     from izoo.report import leaderboard
 
-    groups = leaderboard.merge(_read(options.files))["groups"]
-    print("\n\n".join("\n\n".join([leaderboard.board(group).markdown(), *_said(group)]) for group in groups))
+    texts = []
+    for group in leaderboard.merge(_read(options.files))["groups"]:
+        shown = leaderboard.board(group)
+        texts += [plain(f"{shown.title}:"), shown.markdown(), *_said(group)]
+    print("\n\n".join(texts))
 
 
 def _read(paths: Sequence[Path]) -> list[Any]:

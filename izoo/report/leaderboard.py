@@ -24,7 +24,7 @@ import pandas as pd
 from jsonschema import Draft202012Validator
 
 from izoo.console import counted
-from izoo.envs import MODEL_VERSION, REFERENCE, SIMULATORS
+from izoo.envs import MODEL_VERSION, SIMULATORS
 from izoo.envs.mdp.metric_sums import APPROACH_METRICS, MOVEMENT_METRICS
 from izoo.errors import IzooError
 from izoo.files import read_text, write_text
@@ -153,6 +153,8 @@ def unpacked(rows: Mapping[str, Any]) -> pd.DataFrame:
         table[name] = table[name].astype("Int64") if name in WHOLE else numbers
     if table[list(KEY)].isna().any(axis=None):
         raise IzooError(f"rows: {', '.join(KEY)} must be there in every row.")
+    if unknown := sorted({*table["simulator"]} - {*SIMULATORS}, key=str):
+        raise IzooError(f"rows/simulator: {unknown[0]!r} is none of {', '.join(SIMULATORS)}.")
     if table.duplicated(list(KEY)).any():
         raise IzooError("rows: an episode's approach is there twice.")
     return table.reindex(columns=[name for name in COLUMNS if name in table or not name.startswith("episode_")])
@@ -199,9 +201,8 @@ class Entry:
 
     @property
     def simulator(self) -> str:
-        """What played: SUMO where it did."""
-        played = set(self.table["simulator"])
-        return REFERENCE if REFERENCE in played else str(min(played))
+        """What played most of its episodes."""
+        return simulators(self.table)[0]
 
     @property
     def marks(self) -> tuple[str, ...]:
@@ -300,13 +301,13 @@ def merge(found: Sequence[Entry]) -> dict[str, Any]:
 def board(group: Mapping[str, Any]) -> Table:
     """Return a group of :func:`merge` as a table of its ranked entries, slower ones last."""
     if group["summary"] is None:
-        return Table(group["task"], tables.entry_columns(), ())
-    return tables.entries(group["summary"])
+        return Table(f"{group['task']}; {_played(group)}", tables.entry_columns(), ())
+    shown = tables.entries(group["summary"])
+    return dataclasses.replace(shown, title=f"{shown.title}; {_played(group)}")
 
 
-def played_on(simulator: str) -> str:
-    """Say on which simulator entries were played."""
-    return f"played on {SIMULATORS[simulator].label}"
+def _played(group: Mapping[str, Any]) -> str:
+    return f"played on {SIMULATORS[group['simulator']].label}"
 
 
 def _ranked(named: Mapping[str, Entry]) -> dict[str, Any]:
@@ -342,7 +343,11 @@ def _line(name: str, entry: Entry, rank: int | None) -> dict[str, Any]:
 
 def draw(found: Sequence[Entry], path: Path) -> None:
     """Draw what entries saved, a panel per group of :func:`merge`, as PNG."""
-    save(draw_charts([plots.forest(board(group)) for group in merge(found)["groups"]], columns=2), path)
+    groups = merge(found)["groups"]
+    charts = [plots.forest(board(group)) for group in groups]
+    titles = [f"{group['task']}; {_played(group)}" for group in groups]
+    named = [dataclasses.replace(chart, title=title) for chart, title in zip(charts, titles, strict=True)]
+    save(draw_charts(named, columns=2), path)
 
 
 def _rounded(value: Any) -> Any:

@@ -84,7 +84,7 @@ def paper_table(aggregates: Mapping[str, Mapping[str, Any]], task: str) -> Table
         known |= {"share_kept": each.throughput_kept, "share_gated": each.at_zero / each.approaches}
         cells = {key: _percent(known.get(key), key) for key in COLUMNS}
         cells["share_gated"] = dataclasses.replace(cells["share_gated"], note="benefit of 0")
-        theirs.append(Row(f"{each.algorithm}, published", tuple(cells.values())))
+        theirs.append(Row(each.algorithm, tuple(cells.values())))
     return Table("", ("entry", *COLUMNS.values()), (("", tuple(rows)), ("published", tuple(theirs))))
 
 

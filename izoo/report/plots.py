@@ -42,7 +42,7 @@ def colours(names: Sequence[str]) -> dict[str, str]:
 
 
 def forest(table: Table, name: str = "forest", column: int = 0) -> Chart:
-    """Return a column of a table with its intervals, a row per entry, which names its group.
+    """Return a column of a table with its intervals, a row per entry; its label names the group.
 
     An interval :data:`FAR` times as wide as the median one runs off the chart: else it would hide what the others say.
     """

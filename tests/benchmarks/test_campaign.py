@@ -16,7 +16,7 @@ from izoo.benchmarks.campaign import __main__ as campaign
 from izoo.benchmarks.campaign.__main__ import CampaignConfig
 from izoo.benchmarks.campaign.experiment import read_experiment
 from izoo.benchmarks.campaign.jobs import PartRun
-from izoo.benchmarks.campaign.learning_curves import costs, draw_curves, gather
+from izoo.benchmarks.campaign.learning_curves import costs, draw_curves, update_learning
 from izoo.benchmarks.campaign.summing_up import agreement, beside_paper, headroom, on_front
 from izoo.conf.train_options import TrainConfig
 from izoo.errors import IzooError
@@ -124,7 +124,7 @@ def test_everything_is_there(done: Path) -> None:
     (evaluation,) = collect(part).evaluations
     assert set(evaluation.policies) == ENTRIES - {"human"} and list(collect(part).curves) == ["ppo"]
     names = ["co2_saved", "delay_change_s", "co2_saved-core_h", "delay_change_s-core_h"]
-    assert [chart.name for chart in draw_curves(gather(part))] == names
+    assert [chart.name for chart in draw_curves(update_learning(part))] == names
 
 
 @pytest.mark.slow
@@ -207,6 +207,12 @@ def test_bad_options_are_one_sentence(refused: Refused) -> None:
     refused(campaign.main, ["out="], "out is empty")
 
 
+def test_nothing_is_written_where_nothing_was_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert campaign.main(["play=false", f"out={tmp_path / 'none'}"]) == 0
+    said = capsys.readouterr().out
+    assert "Still missing: 11 jobs" in said and "tables.md" not in said and not list(tmp_path.iterdir())
+
+
 def test_the_front_is_what_no_other_entry_beats() -> None:
     made = table({"a": (0.06, 5.0, 1), "b": (0.03, 0.0, 1), "c": (0.02, 1.0, 1), "d": (0.0, -1.0, 1)})
     assert sorted(on_front(summarise(made))) == ["a", "b", "d"]
@@ -231,6 +237,7 @@ def test_the_planner_stands_beside_no_entry(tmp_path: Path) -> None:
     assert campaign.main(["experiment=reference", "parts=[busy_lane]", "play=false", f"out={tmp_path}"]) == 0
     tables, _, rest = (tmp_path / "tables.md").read_text().partition("Headroom")
     assert "planner" not in tables and "| planner |" in rest
+    assert "| ppo\\_stop | 4 |" in rest.partition("Cost of a training run")[2]
     (evaluation,) = collect(tmp_path / "busy_lane", partial=True).evaluations
     assert "planner" not in evaluation.policies and "glide" in evaluation.policies
     written = {path.stem for path in (tmp_path / "busy_lane/leaderboard").glob("*.json")}
@@ -258,7 +265,7 @@ def test_in_the_papers_form_its_figures_stand_beside_the_entries() -> None:
     found = beside_paper(made, summarise(made))
     assert found is not None
     rows = {row.label: row.cells for row in found.rows}
-    published, own = rows["DDPG, published"], rows["ppo"]
+    published, own = rows["DDPG"], rows["ppo"]
     assert [published[1].value, published[5].value] == pytest.approx([-1.85, 80.2]) and "human" not in rows
     assert own[0].value == pytest.approx(100.0 * paper_form(made, "ppo")[1]["ratio_of_sums"])
 
@@ -274,13 +281,13 @@ def test_costs_are_those_that_were_recorded(tmp_path: Path) -> None:
         MetricsTable(run / "validation.csv").append({"frames": 40, "co2_saved": 1.5, "delay_change_s": -2.0})
     hours = f"{36 * TrainConfig().env.horizon_s / 3600:.0f}"
     expected = [("1", "14", hours, "1.00"), ("1", "14", hours, "-")]
-    assert [row.cells for row in costs(gather(tmp_path)).rows] == expected
+    assert [row.cells for row in costs(update_learning(tmp_path)).rows] == expected
     shutil.rmtree(tmp_path / "train" / "old")  # a run that is gone is still counted, one that goes on is renewed
     run = tmp_path / "train" / "new" / "seed0"
     row = {"frames": 120, "seconds": 9.0, "episodes": 54, "decisions": 7, "processor_s": 1800.0}
     MetricsTable(run / "metrics.csv", 80).append(row)
     MetricsTable(run / "validation.csv", 40).append({"frames": 120, "co2_saved": 2.5, "delay_change_s": 0.0})
-    table = gather(tmp_path)
+    table = update_learning(tmp_path)
     more = f"{54 * TrainConfig().env.horizon_s / 3600:.0f}"
     assert [row.cells for row in costs(table).rows] == [("1", "21", more, "1.50"), expected[1]]
     saved, _, by_core_hours, _ = draw_curves(table)
@@ -289,3 +296,25 @@ def test_costs_are_those_that_were_recorded(tmp_path: Path) -> None:
         ("old", [7.0], [1.5]),
     ]
     assert [(series.name, list(series.x)) for series in by_core_hours.series] == [("new", [0.5, 1.5])]
+    assert update_learning(tmp_path).equals(table)
+
+
+def test_names_of_entries_stay_what_they_are(tmp_path: Path) -> None:
+    for name in ("0.5", "1", "None"):
+        run = tmp_path / "train" / name / "seed0"
+        run.mkdir(parents=True)
+        write_config(run, TrainConfig())
+        row = {"frames": 40, "seconds": 9.0, "episodes": 18, "decisions": 12345678, "processor_s": 1800.0}
+        MetricsTable(run / "metrics.csv").append(row)
+        MetricsTable(run / "validation.csv").append({"frames": 40, "co2_saved": 1.5, "delay_change_s": -2.0})
+    update_learning(tmp_path)
+    table = update_learning(tmp_path)
+    assert table["entry"].tolist() == ["0.5", "1", "None"]
+    shutil.rmtree(tmp_path / "train")
+    table = update_learning(tmp_path)
+    assert [(row.label, row.cells[1]) for row in costs(table).rows] == [
+        (name, "12,345,678") for name in ("0.5", "1", "None")
+    ]
+    charts = draw_curves(table, {"eta": {"0.5": {}, "1": {}}})
+    assert [chart.name for chart in charts] == ["co2_saved", "delay_change_s"]
+    assert len({series.colour for series in charts[0].series}) == 3

@@ -64,7 +64,9 @@ def test_files_are_ranked_and_slower_entries_come_last(results: Path, capsys: py
     assert "slower" in capsys.readouterr().out
     assert command.main(["table", str(results / "leaderboard")]) == 0
     printed = capsys.readouterr().out
-    assert printed.startswith("| entry | CO2 saved |") and printed.rstrip().endswith(group["summary"]["verdict"])
+    title, _, rows = printed.partition("\n\n")
+    assert title.endswith("; played on SUMO:") and rows.startswith("| entry | CO2 saved |")
+    assert printed.rstrip().endswith(group["summary"]["verdict"])
     assert command.main(["merge", str(out), "--out", str(results / "leaderboard" / "ppo.json")]) == 2
     picture = results / "all.png"
     assert command.main(["draw", str(results / "leaderboard"), "--out", str(picture)]) == 0
@@ -132,13 +134,17 @@ def test_entries_that_cannot_be_compared_are_listed_without_rank() -> None:
     json.dumps(group, allow_nan=False)
 
 
-def test_entries_of_another_model_are_ranked_among_themselves(tmp_path: Path, capsys: Any) -> None:
+def test_entries_of_another_model_or_simulator_are_ranked_among_themselves(tmp_path: Path, capsys: Any) -> None:
     write_entry(tmp_path / "new.json", content())
+    write_entry(tmp_path / "twin.json", content(table({"ppo": PPO}).assign(simulator="twin")))
     write_entry(tmp_path / "old.json", sealed({**content(), "model_version": MODEL_VERSION + 1}))
     assert command.main(["validate", str(tmp_path)]) == 1
     assert command.main(["merge", str(tmp_path), "--out", str(tmp_path / "board")]) == 0
     groups = json.loads((tmp_path / "board").read_text())["groups"]
-    assert [[line["rank"] for line in group["entries"]] for group in groups] == [[1], [1]]
+    assert [[line["rank"] for line in group["entries"]] for group in groups] == [[1], [1], [1]]
+    assert [board(group).title.rpartition("; ")[2] for group in groups] == ["played on SUMO"] * 2 + [
+        "played on the twin"
+    ]
     assert f"model version {MODEL_VERSION + 1} of the simulation" in capsys.readouterr().out
 
 
@@ -161,6 +167,10 @@ def _column(name: str, values: Any) -> Any:
         (_column("policy", {"values": ["ppo"], "index": [7] * 72}), "rows/policy: an index is beyond the values"),
         (_column("policy", {"values": ["ppo"], "index": [0] * 72}), "an episode's approach is there twice"),
         (_column("crossed", {"values": ["a"], "index": [0] * 72}), "rows/crossed: could not convert"),
+        (
+            _column("simulator", {"values": ["carla"], "index": [0] * 72}),
+            "rows/simulator: 'carla' is none of sumo, twin",
+        ),
     ],
 )
 def test_bad_files_are_refused_in_one_sentence(change: Any, message: str, tmp_path: Path, refused: Refused) -> None:
