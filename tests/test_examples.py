@@ -145,6 +145,7 @@ def test_own_city(extract: str | None, tmp_path: Path, request: pytest.FixtureRe
         assert [len(spec.approach_names) for spec in load_specs(tmp_path / "town")] == [4, 3]
 
 
+@pytest.mark.slow
 def test_offline_data(tmp_path: Path) -> None:
     from izoo.docs.examples import offline_data
 

@@ -57,9 +57,9 @@ def undisturbed(steps: int) -> TensorDict:
         return play(env, steps)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("number", "limit_s", "index"),
-    [pytest.param(signal.SIGKILL, 5.0, 0, marks=pytest.mark.slow), (signal.SIGSTOP, WATCHDOG_S + 10.0, 1)],
+    ("number", "limit_s", "index"), [(signal.SIGKILL, 5.0, 0), (signal.SIGSTOP, WATCHDOG_S + 10.0, 1)]
 )
 def test_a_lost_worker_costs_only_its_episode(pair: SumoParallelEnv, number: int, limit_s: float, index: int) -> None:
     before, state = play_on(pair, 60, steer, pair.reset())
