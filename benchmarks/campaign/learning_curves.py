@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -133,7 +133,7 @@ def draw_curves(table: pd.DataFrame, grid: Mapping[str, Mapping[str, Any]] | Non
 def _marks(lines: Sequence[Line], name: str, colour: str, dash: str) -> list[Series]:
     between = band(lines)
     if between is None:
-        kinds: dict[bool, Literal["points", "line"]] = {True: "points", False: "line"}
-        return [Series(x, y, name, kinds[len(x) == 1], colour=colour, dash=dash) for x, y in lines if len(x)]
+        style: dict[str, Any] = {"name": name, "colour": colour, "dash": dash}
+        return [Series(x, y, kind="points" if len(x) == 1 else "line", **style) for x, y in lines if len(x)]
     x, lowest, mean, highest = between
     return [Series(x, mean, name, "band", lowest, highest, colour), Series(x, mean, name, colour=colour, dash=dash)]

@@ -343,11 +343,11 @@ def _line(name: str, entry: Entry, rank: int | None) -> dict[str, Any]:
 
 def draw(found: Sequence[Entry], path: Path) -> None:
     """Draw what entries saved, a panel per group of :func:`merge`, as PNG."""
-    groups = merge(found)["groups"]
-    charts = [plots.forest(board(group)) for group in groups]
-    titles = [f"{group['task']}; {_played(group)}" for group in groups]
-    named = [dataclasses.replace(chart, title=title) for chart, title in zip(charts, titles, strict=True)]
-    save(draw_charts(named, columns=2), path)
+    charts = [
+        dataclasses.replace(plots.forest(board(group)), title=f"{group['task']}; {_played(group)}")
+        for group in merge(found)["groups"]
+    ]
+    save(draw_charts(charts, columns=2), path)
 
 
 def _rounded(value: Any) -> Any:

@@ -122,7 +122,7 @@ def test_names_are_shown_as_they_are() -> None:
     assert "a\\|b" in shown.markdown() and "\\*x\\*" in shown.markdown()
 
 
-def test_a_chart_says_who_is_slower() -> None:
+def test_a_chart_names_slower_entries() -> None:
     groups = (("", (Row("ppo", (Cell(4.0),)),)), (SLOWER, (Row("cap_0.6", (Cell(6.7),)),)))
     assert forest(Table("", ("entry", "CO2 saved"), groups)).rows == ["ppo", "cap_0.6, slower"]
 
