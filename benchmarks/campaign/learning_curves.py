@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +91,33 @@ def costs(table: pd.DataFrame) -> Table:
     return Table.of(title, ("entry", "runs", "decisions", "simulated hours", "core-hours"), rows)
 
 
+@dataclass(frozen=True)
+class _Look:
+    """How an entry is drawn, and in the charts of which value of the third factor; ``None``: in all."""
+
+    colour: str
+    dash: str
+    panel: Any = None
+
+
+def _look(number: int, dash: int | None = None, panel: Any = None) -> _Look:
+    """Return the look of a number; where colours run out, they come again with other dashes."""
+    again, colour = divmod(number, len(PALETTE))
+    return _Look(PALETTE[colour], DASHES[(again if dash is None else dash) % len(DASHES)], panel)
+
+
+def _looks(names: Sequence[str], factors: Sequence[Sequence[Any]]) -> dict[str, _Look]:
+    """Return the looks of entries; those that combine no values of the factors get colours of their own."""
+    looks = {}
+    for values in itertools.product(*factors) if factors else ():
+        numbers = [of.index(value) for of, value in zip(factors, values, strict=True)]
+        dash, panel = (numbers[1] if len(values) > 1 else None), (values[2] if len(values) > 2 else None)
+        looks["-".join(map(str, values))] = _look(numbers[0], dash, panel)
+    others = [name for name in names if name not in looks]
+    first = len(factors[0]) if factors else 0
+    return looks | {name: _look(first + number) for number, name in enumerate(others)}
+
+
 def draw_curves(table: pd.DataFrame, grid: Mapping[str, Mapping[str, Any]] | None = None) -> list[Chart]:
     """Return charts of what validations found: a line per entry, with a band over its training seeds.
 
@@ -99,35 +127,30 @@ def draw_curves(table: pd.DataFrame, grid: Mapping[str, Mapping[str, Any]] | Non
             second one's the dashes, and the third one's the chart; other entries stand in every chart. Without a grid,
             charts against core-hours are added.
     """
-    factors, names = [list(values) for values in (grid or {}).values()], list(dict.fromkeys(table["entry"]))
-    places = {
-        "-".join(map(str, values)): [of.index(value) for of, value in zip(factors, values, strict=True)]
-        for values in itertools.product(*factors)
-    }
-    first = len(factors[0]) if factors else 0  # colours of the others follow
-    others = {name: [first + number] for number, name in enumerate(name for name in names if name not in places)}
-    panels = factors[2] if len(factors) > 2 else [""]
-    charts = []
-    against = ["decisions"] if factors else list(AGAINST)
-    for cost, (number, panel), column in itertools.product(against, enumerate(panels), DRAWN):
-        label, limits = DRAWN[column]
-        series: list[Series] = []
-        for name in names:
-            own = places.get(name) or others[name]
-            if len(own) < 3 or own[2] == number:
-                dash = DASHES[(own[1] if len(own) > 1 else own[0] // len(PALETTE)) % len(DASHES)]
-                shown = name.removesuffix(f"-{panel}") if panel else name
-                runs = table[table["entry"] == name].dropna(subset=[cost, column]).groupby("train_seed")
-                lines = [(run[cost].to_numpy(float), run[column].to_numpy(float)) for _, run in runs]
-                series += _marks(lines, shown, PALETTE[own[0] % len(PALETTE)], dash)
-        if series:
-            values = np.concatenate([np.ravel(one.y) for one in series])
-            known = values[(limits[0] < values) & (values < limits[1])]
-            ends = (max(known.min() - 0.5, limits[0]), min(known.max() + 0.5, limits[1])) if len(known) else None
-            place = "-".join(filter(None, (column, panel, cost if cost != "decisions" else "")))
-            title = f"{label}, {panel}" if panel else label
-            charts.append(Chart(place, title, series, AGAINST[cost], y_range=ends, log_x=True))
-    return charts
+    factors = [list(values) for values in (grid or {}).values()]
+    looks = _looks(list(dict.fromkeys(table["entry"])), factors)
+    panels = factors[2] if len(factors) > 2 else [None]
+    drawn = itertools.product(["decisions"] if factors else AGAINST, panels, DRAWN)
+    charts = [_chart(table, looks, cost, panel, column) for cost, panel, column in drawn]
+    return [chart for chart in charts if chart.series]
+
+
+def _chart(table: pd.DataFrame, looks: Mapping[str, _Look], cost: str, panel: Any, column: str) -> Chart:
+    """Return the chart of a figure against a cost, for a value of the third factor or for all; it may be empty."""
+    label, limits = DRAWN[column]
+    series: list[Series] = []
+    for name, runs in table.dropna(subset=[cost, column]).groupby("entry", sort=False):
+        look = looks[str(name)]
+        if look.panel in (None, panel):
+            lines = [(run[cost].to_numpy(float), run[column].to_numpy(float)) for _, run in runs.groupby("train_seed")]
+            shown = str(name) if panel is None else str(name).removesuffix(f"-{panel}")
+            series += _marks(lines, shown, look.colour, look.dash)
+    values = np.concatenate([np.ravel(one.y) for one in series] or [np.zeros(0)])
+    known = values[(limits[0] < values) & (values < limits[1])]
+    ends = (max(known.min() - 0.5, limits[0]), min(known.max() + 0.5, limits[1])) if len(known) else None
+    place = "-".join([column, *([] if panel is None else [str(panel)]), *([] if cost == "decisions" else [cost])])
+    title = label if panel is None else f"{label}, {panel}"
+    return Chart(place, title, series, AGAINST[cost], y_range=ends, log_x=True)
 
 
 def _marks(lines: Sequence[Line], name: str, colour: str, dash: str) -> list[Series]:
