@@ -18,7 +18,7 @@ PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loa
 help:
 	@echo "make train      install into .venv if need be and train a policy that saves CO2, in some three minutes (ARGS='seed=1 ...')"
 	@echo "make test       install and run the quick tests, some five minutes (ARGS='-k name' adds pytest options)"
-	@echo "make test-all   the same, then the slow tests: some fifteen minutes"
+	@echo "make test-all   the same, then the slow tests: some twenty minutes"
 	@echo "make docs       build the documentation site into build/site (Python 3.11 or newer)"
 	@echo "make check      all tests, lint, type check and documentation: what CI runs"
 	@echo "make install | lint | typecheck | clean"

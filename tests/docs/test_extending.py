@@ -182,6 +182,7 @@ def test_the_layout_page_has_both(facts: dict[str, Any]) -> None:
     assert column in table and len(table) == len(pages.observation_table().splitlines()) + 1
 
 
+@pytest.mark.slow
 def test_help_has_the_option(package: Path) -> None:
     told = run(package, "-m", "izoo.train", "--help")
     assert re.search(r"env\.reward\.power=0\n +weight of the power that a vehicle draws, per kg\.\n", told)

@@ -27,6 +27,7 @@ def test_its_environments_are_those_of_any_simulator(n: int | None) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_ppo_trains_on_it_and_its_policy_is_evaluated_there(tmp_path: Path) -> None:
     words = ["simulator=toy", "num_envs=2", "contexts=pcg_easy", "env.horizon_s=60", "algo.hidden=[8]"]
     words += ["algo.frames_per_batch=140", "total_frames=140", "evaluation.contexts=0", "twin.compare_every=1"]

@@ -234,7 +234,8 @@ def test_shares_out_of_range_are_refused_unless_deferred(share: float, decide: s
         env.step(others)
 
 
-@pytest.mark.parametrize("simulator", [pytest.param("sumo", marks=pytest.mark.slow), "twin"])
+@pytest.mark.slow
+@pytest.mark.parametrize("simulator", SIMULATORS)
 @pytest.mark.parametrize("decide", ["step", "vehicle"])
 def test_with_a_speed_before_the_line_only_vehicles_behind_it_are_uncommanded(simulator: str, decide: str) -> None:
     both = speeds(horizon_s=120.0, decide=decide, action_parts=("speed_before", "speed_behind"))

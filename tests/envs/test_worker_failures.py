@@ -207,9 +207,8 @@ ENDINGS = {
 }
 
 
-@pytest.mark.parametrize(
-    "ending", [pytest.param(name, marks=() if name == "killed" else pytest.mark.slow) for name in ENDINGS]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("ending", list(ENDINGS))
 def test_workers_end_with_their_parent(ending: str, tmp_path: Path) -> None:
     """And nothing is left in the file system."""
     code, number = ENDINGS[ending]

@@ -99,6 +99,7 @@ def test_published_figures_stand_beside_the_papers_protocol(tmp_path: Path) -> N
     assert "DDPG, published" in text and "-1.85 %" in text and 'data-figure="published"' in text
 
 
+@pytest.mark.slow
 def test_the_same_results_give_the_same_page(results: Path, tmp_path: Path) -> None:
     for name in ("one", "two"):
         assert main([str(results), f"out={tmp_path / name}.html", "replay=false"]) == 0

@@ -95,6 +95,7 @@ def test_a_crawling_policy_is_seen_to_lose(tmp_path: Path) -> None:
     assert float(less.mean()) < 0.0
 
 
+@pytest.mark.slow
 def test_they_are_the_same_numbered_episodes_and_kept(tmp_path: Path) -> None:
     options = dataclasses.replace(config(), env=dataclasses.replace(config().env, emit=("metrics", TEAM_REWARD)))
     order = schedule(options)

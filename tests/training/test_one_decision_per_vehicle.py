@@ -83,6 +83,7 @@ def test_uncommanded_vehicles_are_paid_nothing_more_in_any_step(tmp_path: Path) 
         torch.testing.assert_close(rest[mask], torch.zeros_like(rest[mask]), rtol=0.0, atol=2e-4)
 
 
+@pytest.mark.slow
 def test_uncommanded_vehicles_are_paid_next_to_nothing_more_for_a_decision(tmp_path: Path) -> None:
     options = config(*ONCE)
     decisions = Decisions()

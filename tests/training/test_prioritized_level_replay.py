@@ -103,6 +103,7 @@ def test_state_restores_the_very_next_draws() -> None:
     assert one.state_dict() == other.state_dict() and one.replayed > 10
 
 
+@pytest.mark.slow
 def test_what_is_compared_is_the_level_that_is_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Uncommanded training, with replays: the same rewards as the uncommanded episodes beside it, step by step."""
     monkeypatch.setattr(baseline_episodes, "BLOCK", 4)

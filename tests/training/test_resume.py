@@ -155,7 +155,8 @@ def play(
     return torch.stack(frames, 1), root
 
 
-@pytest.mark.parametrize("steps", [40, *(pytest.param(steps, marks=pytest.mark.slow) for steps in (150, 190))])
+@pytest.mark.slow
+@pytest.mark.parametrize("steps", [40, 150, 190])
 def test_episodes_in_progress_are_lived_through_again(steps: int) -> None:
     """Within the first episode, between two, and within the second; one worker's episode is shorter."""
     histories = EpisodeHistories.fresh(2)
