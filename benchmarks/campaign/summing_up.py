@@ -17,11 +17,9 @@ from izoo.benchmarks.campaign.learning_curves import costs, draw_curves
 from izoo.console import counted
 from izoo.envs import SIMULATORS
 from izoo.files import write_json
-from izoo.metrics.cell import Cell
 from izoo.metrics.figures import FIGURES
-from izoo.metrics.pairing import BASELINES, HUMAN, PLANNER, UNCOMMANDED, pair
+from izoo.metrics.pairing import BASELINES, HUMAN, PLANNER, UNCOMMANDED
 from izoo.metrics.paper_form import paper_form
-from izoo.metrics.statistics import iqm
 from izoo.metrics.summary import TRAINING, Summary, summarise
 from izoo.report import plots, tables
 from izoo.report.leaderboard import write_entries
@@ -111,25 +109,22 @@ def beside_paper(table: pd.DataFrame, summary: Summary) -> Table | None:
 def agreement(table: pd.DataFrame) -> Table | None:
     """Return what entries save in SUMO and on the twin, in the episodes that both have played; ``None``: not both."""
     keys = [name for name in EPISODE if name != "simulator"]
-    sides = dict(list(table.groupby("simulator")))
+    sides = {name: pd.MultiIndex.from_frame(part[keys]) for name, part in table.groupby("simulator")}
     if len(sides) < 2:
         return None
-    episodes = [set(part[keys].itertuples(index=False, name=None)) for part in sides.values()]
-    both = set.intersection(*episodes)
-    rows = []
-    for name in sorted(set(table["policy"]) - {UNCOMMANDED}):
-        cells, contexts = [], 0
-        for part in sides.values():
-            kept = part[[key in both for key in part[keys].itertuples(index=False, name=None)]]
-            if name in set(kept["policy"]):
-                found = pair(kept, name, UNCOMMANDED)
-                values = FIGURES[SAVED].value(found.own, found.baseline)
-                contexts = found.contexts["context_hash"].nunique()
-                cells.append(Cell(float(iqm(values[np.isfinite(values)])), unit=FIGURES[SAVED].unit, signed=True))
-        if len(cells) == 2:
-            rows.append((name, contexts, *cells))
-    title = f"{FIGURES[SAVED].label} over {UNCOMMANDED} in the same episodes, over contexts"
-    return Table.of(title, ("entry", "contexts", *(SIMULATORS[name].label for name in sides)), rows)
+    alike = pd.MultiIndex.from_frame(table[keys])
+    both = table[np.logical_and.reduce([alike.isin(own) for own in sides.values()])]
+    if UNCOMMANDED not in set(both["policy"]):
+        return None
+    found = [summarise(both[both["simulator"] == name]) for name in sides]
+    block = found[0]["block"]
+    rows = [
+        (name, *(tables.figure_cell(each["entries"][name], SAVED, UNCOMMANDED, block) for each in found))
+        for name in tables.ranking(found[0])
+        if name not in BASELINES
+    ]
+    title = f"{FIGURES[SAVED].label} over {UNCOMMANDED} in the same episodes, {block} intersections"
+    return Table.of(title, ("entry", *(SIMULATORS[name].label for name in sides)), rows)
 
 
 def headroom(table: pd.DataFrame) -> Table | None:
