@@ -35,7 +35,8 @@ class EvaluateConfig(CheckedOptions):
             ``run`` would bring the contexts, too.
         name: what tables call it; runs of several training seeds that have the same name, and the same ``out``, are one
             entry. null: the run's folder, or the policy.
-        contexts: which contexts to evaluate in; where a run is given, its own unless this option is.
+        contexts: which contexts to evaluate in; where a run is given, those of its task's test, or its own without a
+            task, unless this option is.
         env: the environment; where a run is given, its own but for the ``env`` options that are given, and but for the
             length of an episode and its warm-up, which training may shorten and which are full here unless given.
             Episodes are played out after their horizon for ``env.drain_s`` at most.

@@ -226,7 +226,7 @@ class TrainConfig(RolloutConfig):
         num_workers: environments on SUMO, each in a process of its own (but for ``collector=single``), and workers
             of the final evaluation.
         device: where the learner's networks and replay live: ``cpu``, ``cuda``, or ``auto``: a GPU where there is one.
-            Collection stays on the CPU. The presets' networks are small; a GPU pays off for larger ones.
+            Collection stays on the CPU. A GPU pays off for PPO with large batches, or for larger networks.
         total_frames: environment steps of the whole run, over all workers.
         start: a run, or one of its checkpoints, whose policy this run begins with (PPO, MAPPO and graph RL); what it
             observes and what its actions stand for must be the same. The value function and all else begin anew. null:

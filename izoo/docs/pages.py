@@ -13,7 +13,6 @@ import html
 import importlib
 import io
 import os
-import pkgutil
 import re
 import shutil
 import tempfile
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from izoo import tasks
+from izoo.__main__ import COMMANDS
 from izoo.cli.help_page import attribute_docs
 from izoo.cli.option_command import OptionCommand
 from izoo.conf.choices import groups
@@ -39,13 +39,7 @@ HELP_COLUMNS = "100"
 
 def modules() -> dict[str, Any]:
     """Return the modules that ``python -m`` runs, by the name that it takes."""
-    names = ["izoo.train", "izoo.evaluate", "izoo.collect", "izoo.report.__main__"]
-    names += ["izoo.contexts.__main__", "izoo.drivers.__main__", "izoo.benchmarks.campaign.__main__"]
-    for package in ("izoo", "izoo.benchmarks"):
-        path = importlib.import_module(package).__path__
-        names += [f"{package}.{module.name}" for module in pkgutil.iter_modules(path) if not module.ispkg]
-    found = {name.removesuffix(".__main__"): importlib.import_module(name) for name in names}
-    return {name: module for name, module in found.items() if hasattr(module, "main")}
+    return {module.removesuffix(".__main__"): importlib.import_module(module) for module, _ in COMMANDS.values()}
 
 
 def hydra_commands() -> list[OptionCommand]:

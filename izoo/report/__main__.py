@@ -80,7 +80,7 @@ COMMAND = OptionCommand(
     summary="Write results as one HTML page that opens from disk; of a sweep, show its runs side by side.",
     examples=(
         "izoo.report results/busy_lane out=report.html",
-        "izoo.report results/campaign task=busy_lane",
+        "izoo.report results/campaign/busy_lane",
         "izoo.report runs/DATE-sweep",
     ),
     config="izoo.report.__main__:ReportConfig",

@@ -9,17 +9,15 @@ from typing import Any, cast
 
 import numpy as np
 
-from izoo.algos.actions.action_modes import ActionConfig, DirectAction, SpeedAction
+from izoo.algos.actions.action_modes import ActionConfig, DirectAction
 from izoo.conf.context_choices import ContextsConfig
 from izoo.contexts.context import Context
 from izoo.contexts.source import ContextSource
-from izoo.envs.config import BEFORE, SCOPES, SPEED, STEP, EnvConfig
-from izoo.errors import IzooError, check_choice
+from izoo.envs.config import EnvConfig
+from izoo.errors import IzooError
 
 TEST_SEED = 241015221
 """Published constant: base of the episode seeds of tests, and of the test contexts that are drawn; never to change."""
-INITIAL_SHARE = 0.75
-"""Median speed of an untrained policy that chooses speeds, as a share of the limit."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +60,6 @@ class Task:
         self,
         adoption: float | None = None,
         cv_vehicle: str | None = None,
-        decide: str | None = None,
         path: str | None = None,
     ) -> Task:
         """Return the task under other conditions; ``None`` leaves each as it is.
@@ -70,7 +67,6 @@ class Task:
         Args:
             adoption: share of controlled vehicles, 0 to 1; becomes part of the name.
             cv_vehicle: ``paper`` or ``human`` parameters of controlled vehicles; becomes part of the name.
-            decide: as ``env.decide``: ``step`` commands accelerations, others choose speeds before the stop line.
             path: folder of the measured intersections.
         """
         values = {"adoption": adoption, "cv_vehicle": cv_vehicle, "path": path}
@@ -84,12 +80,6 @@ class Task:
             raise IzooError(f"task={self.name} reads no folder; leave contexts.path out.")
         said = "".join(f", {key}={values[key]:.3g}" for key in ("adoption",) if key in values)
         said += f", cv_vehicle={cv_vehicle}" if cv_vehicle is not None else ""
-        if decide is not None:
-            check_choice("decide", decide, SCOPES)
-            parts: dict[str, Any] = {"decide": decide, "hold_s": None, "action": SPEED, "action_parts": BEFORE}
-            env = self.env.with_accelerations() if decide == STEP else dataclasses.replace(self.env, **parts)
-            action = DirectAction() if decide == STEP else SpeedAction(initial=INITIAL_SHARE)
-            found = dataclasses.replace(found, env=env, action=action)
         return dataclasses.replace(found, name=self.name + said)
 
 

@@ -16,8 +16,8 @@ def check_options(config: TrainConfig) -> None:
     learner_device(config.device)
     if config.env.lane_change:
         raise IzooError(
-            "env.lane_change=true asks the policy for lane changes as well, but izoo's learners command accelerations "
-            "alone; leave it out."
+            "env.lane_change=true asks the policy for lane changes as well, and none of izoo's learners commands them; "
+            "leave it out."
         )
     if config.env.drain_s:
         raise IzooError(

@@ -84,8 +84,6 @@ def test_other_conditions_hold_in_every_role_and_stand_in_the_name(tmp_path) -> 
     assert task.name == "measured_to_atlanta, adoption=0.1, cv_vehicle=human"
     assert {(role.adoption, role.cv_vehicle) for role in (task.train, task.validation, task.test)} == {(0.1, "human")}
     assert task.train.path == task.validation.path == str(tmp_path)
-    stepwise = tasks.make("busy_lane", decide="step")
-    assert (stepwise.name, stepwise.env.action, stepwise.action.name) == ("busy_lane", "acceleration", "direct")
     with pytest.raises(IzooError, match="reads no folder"):
         tasks.make("atlanta", path=str(tmp_path))
 

@@ -135,7 +135,7 @@ def _walk(
             break
         nodes.append(node)
         length += run
-    bearing = _bearing(graph, core, nodes)
+    bearing = _bearing(graph, nodes)
     return Stub(
         tuple(pieces),
         min(length, MAX_LENGTH_M),
@@ -173,7 +173,7 @@ def _centre(graph: StreetGraph, core: Core) -> tuple[float, float]:
     return sum(x for x, _ in places) / len(places), sum(y for _, y in places) / len(places)
 
 
-def _bearing(graph: StreetGraph, core: Core, nodes: list[int]) -> float:
+def _bearing(graph: StreetGraph, nodes: list[int]) -> float:
     """Direction of the street between where it leaves the core and a point 40 m out along it."""
     start = graph.streets.position_m[nodes[0]]
     left, point = BEARING_AT_M, start

@@ -7,11 +7,11 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from izoo.contexts.movements import STRAIGHT_WITHIN_DEG
 from izoo.networks.osm.junctions import Core, StreetGraph
 from izoo.networks.osm.legs import BEARING_AT_M, Street, Stub
 from izoo.networks.osm.streets import Restriction
 
-STRAIGHT_WITHIN_DEG = 45.0
 _WORDS = {"left_turn": -1, "straight_on": 0, "right_turn": 1}
 _BANS = ("no_entry", "no_exit", *(f"no_{word}" for word in _WORDS))
 _ORDERS = tuple(f"only_{word}" for word in _WORDS)
