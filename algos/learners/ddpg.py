@@ -358,9 +358,14 @@ class DDPG:
 
     def _learn(self, steps: int) -> dict[str, float]:
         found: dict[str, list[Tensor]] = {}
-        for _ in range(steps):
-            for key, value in self.gradient_step(self.replay.sample()).items():
-                found.setdefault(key, []).append(value)
+        # Weights of idle units decay below 1e-38, and there a CPU is slow unless it takes them for 0.
+        torch.set_flush_denormal(self.config.weight_decay > 0.0)
+        try:
+            for _ in range(steps):
+                for key, value in self.gradient_step(self.replay.sample()).items():
+                    found.setdefault(key, []).append(value)
+        finally:
+            torch.set_flush_denormal(False)
         return {key: float(torch.stack(values).mean()) for key, values in found.items()}
 
     def gradient_step(self, minibatch: TensorDictBase) -> dict[str, Tensor]:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -49,16 +47,6 @@ def to_learner(batch: TensorDictBase, device: torch.device) -> TensorDictBase:
     return found
 
 
-@contextmanager
-def _denormals_as_zero() -> Iterator[None]:
-    """In here this thread takes numbers below 1e-38 for 0: weights that decay get there, and CPUs are slow at them."""
-    torch.set_flush_denormal(True)
-    try:
-        yield
-    finally:
-        torch.set_flush_denormal(False)
-
-
 class Learner:
     """An algorithm and the policy that collects. They share weights on the CPU; elsewhere the policy gets a copy after
     each update.
@@ -95,8 +83,7 @@ class Learner:
         if batch.get(POTENTIAL, None) is not None:
             batch = shaped(batch, self.gamma)
         if batch.numel() > 0:
-            with _denormals_as_zero():
-                stats |= self.algorithm.update(to_learner(batch, self.device), progress)
+            stats |= self.algorithm.update(to_learner(batch, self.device), progress)
         self.share()
         return stats
 

@@ -158,6 +158,19 @@ def test_noise_decays_and_randomness_ends() -> None:
     assert not ddpg.policy.uniform and float(ddpg.policy.noise_factor) == pytest.approx(0.5)
 
 
+@pytest.mark.skipif(not torch.set_flush_denormal(False), reason="this CPU cannot take denormal numbers for 0")
+@pytest.mark.parametrize("weight_decay", [0.0, 1e-6])
+def test_weights_that_have_decayed_away_are_0(weight_decay: float) -> None:
+    """Gradient steps with denormal weights take twice as long; outside of these steps arithmetic is as ever."""
+    ddpg = make_ddpg(weight_decay=weight_decay)
+    unit = ddpg.actor.module[0][0]
+    with torch.no_grad():
+        unit.weight[0], unit.bias[0] = 1e-39, -1e6  # never active
+    ddpg.update(make_batch(), 0.25)
+    assert unit.weight[1].all() and bool(unit.weight[0].any()) == (weight_decay == 0.0)
+    assert (torch.full((8,), 1e-39) * 2).all()
+
+
 def test_without_its_replay_a_restored_run_collects_before_it_learns() -> None:
     one, other = (make_ddpg(save_replay=False, learning_starts=24) for _ in range(2))
     for _ in range(2):
