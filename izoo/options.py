@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import math
 import numbers
 import re
@@ -79,6 +80,7 @@ def to_mapping(config: Any) -> Any:
     return config
 
 
+@functools.cache
 def field_types(cls: Any) -> Mapping[str, Any]:
     """Return the resolved type of each field of a dataclass, in order."""
     hints = typing.get_type_hints(cls)

@@ -67,12 +67,7 @@ def changed(values: dict[str, Any], path: tuple[str, ...], value: Any) -> dict[s
     return values
 
 
-QUICK = [name for name in CONFIGS if name == "train ppo" or not name.startswith("train ")]
-
-
-@pytest.mark.parametrize(
-    "name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in CONFIGS if name not in QUICK)]
-)
+@pytest.mark.parametrize("name", CONFIGS)
 def test_every_option_refuses_what_its_type_cannot_be(name: str) -> None:
     values, cls = to_mapping(CONFIGS[name]), type(CONFIGS[name])
     taken, walked = [], 0

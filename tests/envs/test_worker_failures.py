@@ -152,7 +152,7 @@ def test_a_bad_net_is_named_and_the_next_episodes_play(broken: Context, workers:
 
 @pytest.mark.slow
 def test_memory_of_a_worker_does_not_grow() -> None:
-    config, resident_kib = EnvConfig(horizon_s=200.0), []
+    config, resident_kib = EnvConfig(horizon_s=80.0), []
     with contextlib.closing(SumoParallelEnv(1, crossing(), config=config)) as env:
         state = env.reset()
         for _ in range(40):
