@@ -54,7 +54,7 @@ def flat(state: object, prefix: str = "") -> dict[str, object]:
 
 
 def kill_in_batch(run_dir: Path, words: list[str], batch: int, frames_per_batch: int = 200) -> None:
-    """Start a run and kill it with SIGKILL once ``batch - 1`` checkpoints have been written; again where it was over."""
+    """Start a run and kill it with SIGKILL once ``batch - 1`` checkpoints are written; again where it was over."""
     awaited = checkpoint.folder_of(run_dir) / f"step-{(batch - 1) * frames_per_batch:012d}.pt"
     for _ in range(3):
         shutil.rmtree(run_dir, ignore_errors=True)
