@@ -97,7 +97,8 @@ class TrainingRuns:
                         runs.begin(key, self._begin(key), self.run_dir(key).with_suffix(LOG_SUFFIX))
                 if runs.is_done(keys[0]):
                     break
-                bar.update(total - sum(map(self.left, keys)), counted(len(runs.going), "run"))
+                left = sum(map(self.left, keys))
+                bar.update(total - left, counted(len(runs.going), "run") + ("" if left else " validating"))
                 time.sleep(LOOK_EVERY_S)
         self._require_trained(keys[0])
 
