@@ -80,9 +80,13 @@ def to_mapping(config: Any) -> Any:
     return config
 
 
-@functools.cache
 def field_types(cls: Any) -> Mapping[str, Any]:
     """Return the resolved type of each field of a dataclass, in order."""
+    return _resolved(cls)
+
+
+@functools.cache
+def _resolved(cls: Any) -> Mapping[str, Any]:
     hints = typing.get_type_hints(cls)
     return {field.name: hints[field.name] for field in dataclasses.fields(cls)}
 
