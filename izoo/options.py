@@ -85,7 +85,7 @@ def field_types(cls: Any) -> Mapping[str, Any]:
     return _resolved(cls)
 
 
-@functools.cache
+@functools.cache  # of this one, since mypy takes no class for the argument of a cached function
 def _resolved(cls: Any) -> Mapping[str, Any]:
     hints = typing.get_type_hints(cls)
     return {field.name: hints[field.name] for field in dataclasses.fields(cls)}

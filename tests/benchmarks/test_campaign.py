@@ -1,6 +1,5 @@
 """The campaign: real training and tests, stopped in every way and gone on with."""
 
-import functools
 import json
 import shutil
 import signal
@@ -59,10 +58,8 @@ def words(folder: Path, *more: str, **lane: object) -> list[str]:
 
 
 def start(folder: Path, *more: str, **lane: object) -> subprocess.Popen[str]:
-    """Begin a campaign; it heeds Ctrl-C even where the tests are a background job, whose children ignore it."""
     command = [sys.executable, "-m", "izoo.benchmarks.campaign", *words(folder, *more, **lane)]
-    heeding = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    return subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, preexec_fn=heeding)
+    return subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
 
 
 def wait_for_frames(folder: Path, frames: int, process: subprocess.Popen[str]) -> None:
@@ -132,10 +129,11 @@ def test_everything_is_there(done: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("runs_at_once", [1, 2])
 def test_a_campaign_that_was_stopped_by_ctrl_c_and_then_killed_goes_on(tmp_path: Path, runs_at_once: int) -> None:
     folder, more, lane = tmp_path / "a", [f"runs_at_once={runs_at_once}"], {"seeds": runs_at_once}
-    lane["train"] = ["total_frames=600", "validation.every_batches=0"]
+    lane["train"] = ["total_frames=600", *VALIDATED]
 
     def frames() -> int:
         return checkpoint.frames_of(checkpoint.listed(folder / "lane/train/ppo/seed0")[-1])

@@ -198,6 +198,8 @@ if __name__ == '__main__':
     ("makers", "distinct"),
     [
         ("lambda: EcoDrivingEnv(crossing(), config=short())", 1),
+        ("[lambda k=k: EcoDrivingEnv(crossing(), config=short(), worker=k, num_workers=2) for k in range(2)]", 2),
+        ("lambda: TwinEnv(2, crossing(), config=short())", 2),
         ("[lambda k=k: TwinEnv(2, crossing(), config=short(), shard=k, num_shards=2) for k in range(2)]", 4),
     ],
 )

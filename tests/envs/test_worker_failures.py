@@ -89,14 +89,6 @@ def test_a_lost_worker_costs_only_its_episode(pair: SumoParallelEnv, number: int
     assert digest(whole) == digest(undisturbed(101)[other])
 
 
-@pytest.fixture
-def interruptible() -> Iterator[None]:
-    """Ctrl-C raises, even where the tests run in the background of a shell, which ignores it."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
 def test_after_ctrl_c_in_a_step_the_next_reset_works(pair: SumoParallelEnv) -> None:
@@ -152,7 +144,7 @@ def test_a_bad_net_is_named_and_the_next_episodes_play(broken: Context, workers:
 
 @pytest.mark.slow
 def test_memory_of_a_worker_does_not_grow() -> None:
-    config, resident_kib = EnvConfig(horizon_s=80.0), []
+    config, resident_kib = EnvConfig(horizon_s=200.0), []
     with contextlib.closing(SumoParallelEnv(1, crossing(), config=config)) as env:
         state = env.reset()
         for _ in range(40):
