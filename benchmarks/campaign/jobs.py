@@ -257,7 +257,10 @@ class PartRun:
             play_missing(self.store, plays, policies, self.env(job.entry), job.simulator, task=task, **options)
 
     def _plays(self, job: Job) -> dict[str, list[Play]]:
-        """Return what a job plays, by task: every training seed plays episodes of its own, what was not trained all."""
+        """Return what a job plays, by task: every training seed plays episodes of its own, what was not trained all.
+
+        Contexts of the training are played on the first simulator alone, the one that is summed up.
+        """
         kind, entry = self.entries[job.entry]
         each, seeds = self.task.test_episodes, max((seed + 1 for _, seed in self.configs), default=1)
         if job.simulator == REFERENCE and self.part.sumo_seeds is not None:
@@ -272,7 +275,7 @@ class PartRun:
                 for number in numbers
             ]
             for task, contexts in self.tests.items()
-            if kind != "planner" or not task.endswith(TRAINING)
+            if not task.endswith(TRAINING) or (kind != "planner" and job.simulator == self.part.simulators[0])
         }
 
 

@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 
 from izoo.errors import IzooError
-from izoo.metrics import REFERENCE
 from izoo.metrics.figures import Array
 from izoo.metrics.statistics import pooled
 
@@ -27,10 +26,10 @@ CONTEXT = ["train_seed", "context_hash"]
 
 
 def simulators(table: pd.DataFrame) -> list[str]:
-    """Return what played a table, the one with most episodes first; of two with as many, the reference."""
+    """Return what played a table, the one with most episodes first; of two with as many, the one that began."""
     episodes = table.drop_duplicates(["policy", "train_seed", "simulator", "context_hash", "seed"])
-    counts = episodes["simulator"].value_counts()
-    return sorted(counts.index, key=lambda name: (-counts[name], name != REFERENCE))
+    counts = episodes["simulator"].value_counts(sort=False)
+    return sorted(counts.index, key=lambda name: -counts[name])
 
 
 class Paired(NamedTuple):
