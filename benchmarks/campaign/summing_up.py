@@ -53,7 +53,7 @@ def sum_up(run: PartRun, lacking: Sequence[Job] | None, learning: pd.DataFrame) 
     for name in names:
         rows, seen = (table[table["task"] == each] for each in (name, name + TRAINING))
         if set(BASELINES) <= set(rows["policy"]):
-            found.append(summarise(_paired(rows), run.part.reference, _paired(seen)))
+            found.append(summarise(_paired(rows), run.part.reference, _paired(seen), run.part.simulators[0]))
     write_json(folder / SUMMARY_FILE, found)
     if found:
         shown = tables.entries(found[0])

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from izoo.errors import IzooError
+from izoo.metrics import REFERENCE
 from izoo.metrics.figures import Array
 from izoo.metrics.statistics import pooled
 
@@ -25,11 +26,11 @@ PAIR = ("simulator", "context_hash", "seed", "approach")
 CONTEXT = ["train_seed", "context_hash"]
 
 
-def simulators(table: pd.DataFrame) -> list[str]:
-    """Return what played a table, the one with most episodes first; of two with as many, the one that began."""
+def simulators(table: pd.DataFrame, preferred: str = REFERENCE) -> list[str]:
+    """Return what played a table, the one with most episodes first; of two with as many, the preferred one."""
     episodes = table.drop_duplicates(["policy", "train_seed", "simulator", "context_hash", "seed"])
-    counts = episodes["simulator"].value_counts(sort=False)
-    return sorted(counts.index, key=lambda name: -counts[name])
+    counts = episodes["simulator"].value_counts()
+    return sorted(counts.index, key=lambda name: (-counts[name], name != preferred))
 
 
 class Paired(NamedTuple):

@@ -105,11 +105,12 @@ def test_saturated_contexts_stand_apart() -> None:
     assert found["unsaturated"]["mean"] > 4.0 and found["saturated"]["mean"] < -4.0
 
 
-def test_of_two_simulators_the_one_that_began_is_summed_up() -> None:
+def test_of_two_simulators_sumo_is_summed_up() -> None:
     sumo, twin = compared({"ppo": 4.0 + NOISE[0]}), compared({"ppo": -4.0 + NOISE[0]}, simulator="twin")
     both = summarise(pd.concat([twin, sumo], ignore_index=True))
-    assert both["simulators"] == ["twin", "sumo"]
-    assert both["verdict"] == summarise(twin)["verdict"] != summarise(sumo)["verdict"]
+    assert both["simulators"] == ["sumo", "twin"]
+    assert both["verdict"] == summarise(sumo)["verdict"] != summarise(twin)["verdict"]
+    assert summarise(pd.concat([twin, sumo]), preferred="twin")["verdict"] == summarise(twin)["verdict"]
 
 
 def test_contexts_without_demand_are_named() -> None:
