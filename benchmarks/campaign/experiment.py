@@ -67,7 +67,8 @@ class Part(CheckedOptions):
         seeds: training seeds.
         contexts: no more test contexts than these; ``None``: those of the task.
         training_contexts: contexts of the training that every entry plays too, for the generalisation gap; 0: none.
-        simulators: what plays the tests; the first is the one that is summed up, and plays contexts of the training.
+            Of two simulators the twin plays them.
+        simulators: what plays the tests.
         sumo_seeds: how many of the training seeds SUMO plays; ``None``: all.
         trained_in: the part whose runs are tested here; nothing is trained then.
         adoption, cv_vehicle: conditions of the tests that differ from the task's.

@@ -259,12 +259,13 @@ class PartRun:
     def _plays(self, job: Job) -> dict[str, list[Play]]:
         """Return what a job plays, by task: every training seed plays episodes of its own, what was not trained all.
 
-        Contexts of the training are played on the first simulator alone, the one that is summed up.
+        SUMO leaves contexts of the training to the twin, if both play.
         """
         kind, entry = self.entries[job.entry]
         each, seeds = self.task.test_episodes, max((seed + 1 for _, seed in self.configs), default=1)
         if job.simulator == REFERENCE and self.part.sumo_seeds is not None:
             seeds = min(seeds, self.part.sumo_seeds)
+        beside_the_twin = job.simulator == REFERENCE and len(self.part.simulators) > 1
         own = range(seeds) if kind == "scripted" else (job.seed,)
         numbers = [k * each + episode for k in own for episode in range(each)]
         drawn = EpisodeSeeds(self.task.test_seed, max(numbers, default=0) + 1)
@@ -275,7 +276,7 @@ class PartRun:
                 for number in numbers
             ]
             for task, contexts in self.tests.items()
-            if not task.endswith(TRAINING) or (kind != "planner" and job.simulator == self.part.simulators[0])
+            if not (task.endswith(TRAINING) and (kind == "planner" or beside_the_twin))
         }
 
 

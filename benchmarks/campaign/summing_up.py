@@ -18,7 +18,7 @@ from izoo.console import counted
 from izoo.envs import SIMULATORS
 from izoo.files import write_json
 from izoo.metrics.figures import FIGURES
-from izoo.metrics.pairing import BASELINES, HUMAN, PLANNER, UNCOMMANDED
+from izoo.metrics.pairing import BASELINES, HUMAN, PLANNER, UNCOMMANDED, simulators
 from izoo.metrics.paper_form import paper_form
 from izoo.metrics.summary import TRAINING, Summary, summarise
 from izoo.report import plots, tables
@@ -47,13 +47,14 @@ def sum_up(run: PartRun, lacking: Sequence[Job] | None, learning: pd.DataFrame) 
     if not (folder / MANIFEST_FILE).exists():
         return []
     table, task = read_table(folder), read_manifest(folder).task
-    table = table[table["policy"] != PLANNER]
+    shown_on = simulators(table)[:1]
+    table = table[table["simulator"].isin(shown_on) & (table["policy"] != PLANNER)]
     names = sorted({name for name in table["task"] if not name.endswith(TRAINING)}, key=lambda name: name != task)
     found = []
     for name in names:
         rows, seen = (table[table["task"] == each] for each in (name, name + TRAINING))
         if set(BASELINES) <= set(rows["policy"]):
-            found.append(summarise(_paired(rows), run.part.reference, _paired(seen), run.part.simulators[0]))
+            found.append(summarise(_paired(rows), run.part.reference, _paired(seen)))
     write_json(folder / SUMMARY_FILE, found)
     if found:
         shown = tables.entries(found[0])
@@ -66,8 +67,7 @@ def sum_up(run: PartRun, lacking: Sequence[Job] | None, learning: pd.DataFrame) 
             folder / PICTURE_FILE,
         )
     if found and lacking is not None:
-        shown_on = found[0]["simulators"][0]
-        unfinished = {job.entry for job in lacking if job.simulator == shown_on or run.has_begun(job)}
+        unfinished = {job.entry for job in lacking if job.simulator in shown_on or run.has_begun(job)}
         if unfinished.isdisjoint(BASELINES):
             write_entries(folder, but=unfinished)
     curves = draw_curves(learning, run.part.grid)

@@ -26,11 +26,11 @@ PAIR = ("simulator", "context_hash", "seed", "approach")
 CONTEXT = ["train_seed", "context_hash"]
 
 
-def simulators(table: pd.DataFrame, preferred: str = REFERENCE) -> list[str]:
-    """Return what played a table, the one with most episodes first; of two with as many, the preferred one."""
+def simulators(table: pd.DataFrame) -> list[str]:
+    """Return what played a table, the one with most episodes first; of two with as many, the reference."""
     episodes = table.drop_duplicates(["policy", "train_seed", "simulator", "context_hash", "seed"])
     counts = episodes["simulator"].value_counts()
-    return sorted(counts.index, key=lambda name: (-counts[name], name != preferred))
+    return sorted(counts.index, key=lambda name: (-counts[name], name != REFERENCE))
 
 
 class Paired(NamedTuple):

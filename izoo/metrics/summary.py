@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 
 from izoo.errors import IzooError
-from izoo.metrics import REFERENCE
 from izoo.metrics.cell import Cell
 from izoo.metrics.figures import FIGURES, HEADLINE
 from izoo.metrics.pairing import (
@@ -51,19 +50,13 @@ Pairs = Mapping[str, Mapping[str, Paired]]
 """By policy and baseline."""
 
 
-def summarise(
-    table: pd.DataFrame,
-    reference: str | None = None,
-    trained_on: pd.DataFrame | None = None,
-    preferred: str = REFERENCE,
-) -> Summary:
+def summarise(table: pd.DataFrame, reference: str | None = None, trained_on: pd.DataFrame | None = None) -> Summary:
     """Sum up a table; plain values, ready for JSON (missing numbers are ``None``).
 
     Args:
         table: rows of episodes of policies, with those of baselines; of two simulators the one that played most counts.
         reference: an entry that the others are compared with; without one, all are compared pairwise.
         trained_on: rows of the same policies on contexts of their training.
-        preferred: the simulator that counts of two that played as much.
 
     Returns:
         ``task``, ``simulators`` (the first is the one summed up), ``n`` (numbers of contexts, intersections, episode
@@ -81,7 +74,7 @@ def summarise(
     """
     if table.empty:
         raise IzooError("there are no episodes to sum up; evaluate a policy first.")
-    played = simulators(table, preferred)
+    played = simulators(table)
     rows = table[table["simulator"] == played[0]]
     without = rows.groupby("context_hash").agg(context=("context", "first"), cohort=("cohort", "sum"))
     left_out = without.loc[without["cohort"] <= 0.0, "context"].tolist()

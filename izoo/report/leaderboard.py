@@ -73,8 +73,8 @@ def write_entries(folder: Path, but: Collection[str] = ()) -> list[Path]:
     table, manifest, written = read_table(folder), read_manifest(folder), []
     out = folder / FOLDER
     out.mkdir(parents=True, exist_ok=True)
-    table = table[(table["task"] == manifest.task) & (table["policy"] != PLANNER)]
-    table = table[table["simulator"] == simulators(table)[0]]
+    table = table[(table["simulator"] == simulators(table)[0]) & (table["policy"] != PLANNER)]
+    table = table[table["task"] == manifest.task]
     for name in but:
         (out / _file_name(name)).unlink(missing_ok=True)
     for name in sorted(set(table["policy"]) - {*BASELINES, *but}):

@@ -172,6 +172,8 @@ def test_a_second_start_does_nothing_and_more_is_added(
     rows = read_table(copy / "lane")
     assert (copy / "lane" / "rows.csv").read_bytes().startswith(before) and set(rows["simulator"]) == {"sumo", "twin"}
     assert set(rows.loc[rows["simulator"] == "sumo", "task"]) == {"busy_lane"}, "SUMO plays the test alone"
+    (summary,) = json.loads((copy / "lane" / "summary.json").read_text())
+    assert summary["simulators"] == ["twin"] and summary["gaps"]
     found = agreement(rows[rows["task"] == "busy_lane"])
     assert found is not None and found.columns[-2:] == ("SUMO", "the twin")
     assert "ppo" in [row.label for row in found.rows]

@@ -110,7 +110,6 @@ def test_of_two_simulators_sumo_is_summed_up() -> None:
     both = summarise(pd.concat([twin, sumo], ignore_index=True))
     assert both["simulators"] == ["sumo", "twin"]
     assert both["verdict"] == summarise(sumo)["verdict"] != summarise(twin)["verdict"]
-    assert summarise(pd.concat([twin, sumo]), preferred="twin")["verdict"] == summarise(twin)["verdict"]
 
 
 def test_contexts_without_demand_are_named() -> None:
