@@ -86,6 +86,18 @@ def pair(table: pd.DataFrame, policy: str, baseline: str) -> Paired:
     return Paired(*(part[kept].reset_index(drop=True) for part in (_contexts(rows), own, beside)))
 
 
+def pair_in_episodes_of(table: pd.DataFrame, other: str, policy: str, baseline: str) -> Paired:
+    """As :func:`pair`, for each training seed of another policy: in the episodes that this seed of it played.
+
+    Without it, the mean of all episodes of an untrained policy would be compared with single ones: where savings are
+    skewed, the interquartile means of these two are not the same.
+    """
+    rows = {name: table[table["policy"] == name] for name in (other, policy, baseline)}
+    episodes = rows[other][[*CONTEXT, "seed"]].drop_duplicates()
+    own = rows[policy].drop(columns="train_seed").merge(episodes, on=["context_hash", "seed"])
+    return pair(pd.concat([own, rows[baseline]], ignore_index=True), policy, baseline)
+
+
 def by_intersection(contexts: pd.DataFrame, values: Array) -> tuple[Array, int]:
     """Pool a figure's values by intersection, over the contexts that every training seed has a value in.
 

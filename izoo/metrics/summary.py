@@ -24,6 +24,7 @@ from izoo.metrics.pairing import (
     intersections_of,
     of_policy,
     pair,
+    pair_in_episodes_of,
     simulators,
 )
 from izoo.metrics.statistics import (
@@ -83,7 +84,7 @@ def summarise(table: pd.DataFrame, reference: str | None = None, trained_on: pd.
     block = _main_block(counted)
     training = None if trained_on is None else trained_on[trained_on["simulator"] == played[0]]
     entries = {name: _entry(rows, name, pairs[name], block) for name in pairs}
-    pairwise = _pairwise(pairs, block, reference)
+    pairwise = _pairwise(rows, pairs, block, reference)
     return {
         "task": ", ".join(dict.fromkeys(str(task) for task in rows["task"] if task)),
         "simulators": played,
@@ -259,25 +260,34 @@ def _against(paired: Paired, rows: pd.DataFrame, name: str, baseline: str) -> Su
     return found
 
 
-def _pairwise(pairs: Pairs, block: str, reference: str | None) -> list[Summary]:
+def _pairwise(rows: pd.DataFrame, pairs: Pairs, block: str, reference: str | None) -> list[Summary]:
     """Differences of CO2 saved between entries, over the contexts that both have."""
-    matrices: dict[str, pd.DataFrame] = {}
-    for name, compared in pairs.items():
-        if name in BASELINES or not compared:
-            continue
-        matrices[name] = context_matrix(*_saved(next(iter(compared.values())), block))
-    found: list[tuple[str, str, Estimate]] = []
-    both = itertools.combinations(matrices, 2)
-    for x, y in both if reference is None else [(name, reference) for name in matrices if name != reference]:
-        shared = matrices[x].columns.intersection(matrices[y].columns)
-        groups = intersections_of(next(iter(pairs[x].values())).contexts, shared)
-        own, other = (pooled(matrices[name][shared].to_numpy(), groups) for name in (x, y))
-        found.append((x, y, difference(own, other)))
+    names = [name for name, compared in pairs.items() if name not in BASELINES and compared]
+    both = itertools.combinations(names, 2)
+    if reference is not None:
+        both = ((name, reference) for name in names if name != reference)
+    found = [(x, y, _ahead(rows, pairs, block, x, y)) for x, y in both]
     corrected = holm([estimate.p for _, _, estimate in found])
     return [
         {"x": x, "y": y, "difference": each.to_dict(), "p_holm": _plain(p), "verdict": _told_apart(each.value, p)}
         for (x, y, each), p in zip(found, corrected, strict=True)
     ]
+
+
+def _ahead(rows: pd.DataFrame, pairs: Pairs, block: str, x: str, y: str) -> Estimate:
+    """How far X is ahead of Y. One without training seeds is compared in the episodes of each one of the other."""
+    sides = {name: next(iter(pairs[name].values())) for name in (x, y)}
+    seeds = {name: side.contexts["train_seed"].nunique() for name, side in sides.items()}
+    for own, other in ((x, y), (y, x)):
+        if seeds[own] == 1 < seeds[other]:
+            sides[own] = pair_in_episodes_of(rows, other, own, next(iter(pairs[own])))
+    a, b = (context_matrix(*_saved(side, block)) for side in sides.values())
+    shared = a.columns.intersection(b.columns)
+    groups = intersections_of(sides[x].contexts, shared)
+    if seeds[x] == seeds[y] or 1 not in seeds.values():
+        return difference(*(pooled(side[shared].to_numpy(), groups) for side in (a, b)))
+    trained = a.index.intersection(b.index)
+    return estimate(pooled((a - b).loc[trained, shared].to_numpy(), groups))
 
 
 def _gaps(test: Pairs, training: Pairs, block: str) -> Summary:
