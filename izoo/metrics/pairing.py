@@ -86,16 +86,26 @@ def pair(table: pd.DataFrame, policy: str, baseline: str) -> Paired:
     return Paired(*(part[kept].reset_index(drop=True) for part in (_contexts(rows), own, beside)))
 
 
-def pair_in_episodes_of(table: pd.DataFrame, other: str, policy: str, baseline: str) -> Paired:
-    """As :func:`pair`, for each training seed of another policy: in the episodes that this seed of it played.
+def episodes_of(table: pd.DataFrame, policy: str) -> tuple[tuple[int, str, int], ...]:
+    """Return what each training seed of a policy played: training seed, ``context_hash`` and episode seed."""
+    rows = table.loc[table["policy"] == policy, [*CONTEXT, "seed"]].drop_duplicates()
+    return tuple(sorted(rows.itertuples(index=False, name=None)))
 
-    Without it, the mean of all episodes of an untrained policy would be compared with single ones: where savings are
-    skewed, the interquartile means of these two are not the same.
+
+def pair_in_episodes(
+    table: pd.DataFrame, policy: str, baseline: str, episodes: tuple[tuple[int, str, int], ...]
+) -> Paired:
+    """As :func:`pair`, once for each training seed of another policy, in the episodes that this seed played.
+
+    The mean of all episodes of a policy is no match for single ones of another: where savings are skewed, their
+    interquartile means differ.
+
+    Args:
+        episodes: of the other policy (:func:`episodes_of`).
     """
-    rows = {name: table[table["policy"] == name] for name in (other, policy, baseline)}
-    episodes = rows[other][[*CONTEXT, "seed"]].drop_duplicates()
-    own = rows[policy].drop(columns="train_seed").merge(episodes, on=["context_hash", "seed"])
-    return pair(pd.concat([own, rows[baseline]], ignore_index=True), policy, baseline)
+    played = pd.DataFrame(list(episodes), columns=[*CONTEXT, "seed"])
+    own = table[table["policy"] == policy].drop(columns="train_seed").merge(played, on=["context_hash", "seed"])
+    return pair(pd.concat([own, table[table["policy"] == baseline]], ignore_index=True), policy, baseline)
 
 
 def by_intersection(contexts: pd.DataFrame, values: Array) -> tuple[Array, int]:

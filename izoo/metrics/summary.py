@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Mapping
@@ -21,10 +22,11 @@ from izoo.metrics.pairing import (
     Paired,
     by_intersection,
     context_matrix,
+    episodes_of,
     intersections_of,
     of_policy,
     pair,
-    pair_in_episodes_of,
+    pair_in_episodes,
     simulators,
 )
 from izoo.metrics.statistics import (
@@ -261,33 +263,40 @@ def _against(paired: Paired, rows: pd.DataFrame, name: str, baseline: str) -> Su
 
 
 def _pairwise(rows: pd.DataFrame, pairs: Pairs, block: str, reference: str | None) -> list[Summary]:
-    """Differences of CO2 saved between entries, over the contexts that both have."""
-    names = [name for name, compared in pairs.items() if name not in BASELINES and compared]
-    both = itertools.combinations(names, 2)
+    """Differences of CO2 saved between entries, over the contexts that both have.
+
+    An entry of one training seed, or of none, is compared in the episodes of each training seed of the other; where it
+    has not played them all, what it saves in the mean of its own is.
+    """
+    baselines = {name: next(iter(pairs[name])) for name in pairs if name not in BASELINES and pairs[name]}
+    episodes = {name: episodes_of(rows, name) for name in baselines}
+    saved = {name: context_matrix(*_saved(pairs[name][other], block)) for name, other in baselines.items()}
+
+    @functools.cache
+    def in_episodes(name: str, played: tuple[tuple[int, str, int], ...]) -> pd.DataFrame:
+        return context_matrix(*_saved(pair_in_episodes(rows, name, baselines[name], played), block))
+
+    def ahead(x: str, y: str) -> Estimate:
+        shared = saved[x].columns.intersection(saved[y].columns)
+        sides, same_episodes = {x: saved[x], y: saved[y]}, False
+        for own, other in ((x, y), (y, x)):
+            if len(saved[own]) == 1:
+                beside = in_episodes(own, episodes[other])
+                if beside.index.equals(saved[other].index) and shared.isin(beside.columns).all():
+                    sides[own], same_episodes = beside, True
+        groups = intersections_of(pairs[x][baselines[x]].contexts, shared)
+        a, b = (pooled(side[shared].to_numpy(), groups) for side in sides.values())
+        return estimate(a - b) if same_episodes else difference(a, b)
+
+    compared = list(itertools.combinations(baselines, 2))
     if reference is not None:
-        both = ((name, reference) for name in names if name != reference)
-    found = [(x, y, _ahead(rows, pairs, block, x, y)) for x, y in both]
+        compared = [(name, reference) for name in baselines if name != reference]
+    found = [(x, y, ahead(x, y)) for x, y in compared]
     corrected = holm([estimate.p for _, _, estimate in found])
     return [
         {"x": x, "y": y, "difference": each.to_dict(), "p_holm": _plain(p), "verdict": _told_apart(each.value, p)}
         for (x, y, each), p in zip(found, corrected, strict=True)
     ]
-
-
-def _ahead(rows: pd.DataFrame, pairs: Pairs, block: str, x: str, y: str) -> Estimate:
-    """How far X is ahead of Y. One without training seeds is compared in the episodes of each one of the other."""
-    sides = {name: next(iter(pairs[name].values())) for name in (x, y)}
-    seeds = {name: side.contexts["train_seed"].nunique() for name, side in sides.items()}
-    for own, other in ((x, y), (y, x)):
-        if seeds[own] == 1 < seeds[other]:
-            sides[own] = pair_in_episodes_of(rows, other, own, next(iter(pairs[own])))
-    a, b = (context_matrix(*_saved(side, block)) for side in sides.values())
-    shared = a.columns.intersection(b.columns)
-    groups = intersections_of(sides[x].contexts, shared)
-    if seeds[x] == seeds[y] or 1 not in seeds.values():
-        return difference(*(pooled(side[shared].to_numpy(), groups) for side in (a, b)))
-    trained = a.index.intersection(b.index)
-    return estimate(pooled((a - b).loc[trained, shared].to_numpy(), groups))
 
 
 def _gaps(test: Pairs, training: Pairs, block: str) -> Summary:

@@ -85,21 +85,46 @@ def test_pairs_are_compared_on_the_contexts_that_they_share() -> None:
     assert pair["difference"]["value"] == pytest.approx(iqm((4.0 + NOISE[0] - 8.0 - NOISE[1])[:8]))
 
 
-def test_a_rule_is_compared_in_the_episodes_of_each_training_seed() -> None:
-    """Its mean of four episodes would be ahead of the same driving in single ones, where these are one-sided."""
-    saved = 4.0 - np.random.default_rng(2).lognormal(1.0, 1.5, (20, 4))
+def in_single_episodes(saved: np.ndarray, behind: np.ndarray, seeds_of_rule: int = 4) -> pd.DataFrame:
+    """A rule plays the episodes of four training seeds, which save as much less than it does: ``[20, 4]`` each."""
     rows = [
         episode_row(100.0 - value, policy=policy, context=f"x/{k}/A", seed=seed, train_seed=train_seed)
         for (k, seed), each in np.ndenumerate(saved)
-        for policy, value, train_seed in (("uncommanded", 0.0, 0), ("glide", each, 0), ("ppo", each - 1.0, seed))
+        for policy, value, train_seed in (
+            ("uncommanded", 0.0, 0),
+            ("glide", each, 0),
+            ("ppo", each - behind[k, seed], seed),
+        )
+        if policy != "glide" or seed < seeds_of_rule
     ]
-    found = summarise(pd.DataFrame(rows))
+    return pd.DataFrame(rows)
+
+
+def test_a_rule_is_compared_in_the_episodes_of_each_training_seed() -> None:
+    """Where a few savings are large, the mean of its four episodes is ahead of the same driving in single ones."""
+    saved = np.random.default_rng(2).lognormal(1.0, 1.0, (20, 4))
+    table = in_single_episodes(saved, np.ones((20, 4)))
+    found = summarise(table)
     (pair,) = found["pairwise"]
-    assert pair["difference"]["value"] == pytest.approx(1.0)
-    alone = [
-        found["entries"][name]["against"]["uncommanded"]["all"]["figures"]["co2_saved"] for name in ("glide", "ppo")
-    ]
-    assert alone[0]["value"] != pytest.approx(alone[1]["value"] + 1.0, abs=0.2)
+    assert (pair["x"], pair["difference"]["value"]) == ("glide", pytest.approx(1.0))
+    rule, learner = (
+        found["entries"][name]["against"]["uncommanded"]["all"]["figures"]["co2_saved"]["value"]
+        for name in ("glide", "ppo")
+    )
+    assert rule > learner + 1.5
+    (pair,) = summarise(table, reference="glide")["pairwise"]
+    assert (pair["x"], pair["difference"]["value"]) == ("ppo", pytest.approx(-1.0))
+    (pair,) = summarise(table[(table["policy"] != "ppo") | (table["train_seed"] == 0)])["pairwise"]
+    assert pair["difference"]["value"] == pytest.approx(1.0), "one training seed"
+
+
+def test_a_rule_that_lacks_episodes_is_compared_with_all_training_seeds() -> None:
+    """Of those that it shares episodes with alone, the interval would leave out that seeds differ."""
+    behind = NOISE[:4].T + np.array([0.0, 0.0, 0.0, 20.0])
+    table = in_single_episodes(np.full((20, 4), 3.0), behind, seeds_of_rule=1)
+    (pair,) = summarise(table)["pairwise"]
+    assert pair["difference"]["over"] == "intersections and training seeds"
+    assert pair["verdict"] == "indistinguishable"
 
 
 def test_with_a_reference_the_others_are_compared_with_it_alone() -> None:
