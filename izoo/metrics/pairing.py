@@ -24,6 +24,8 @@ PLANNER = "planner"
 PAIR = ("simulator", "context_hash", "seed", "approach")
 """What a policy row and its baseline row agree on."""
 CONTEXT = ["train_seed", "context_hash"]
+Episodes = tuple[tuple[int, str, int], ...]
+"""What each training seed of a policy played: training seed, ``context_hash`` and episode seed."""
 
 
 def simulators(table: pd.DataFrame) -> list[str]:
@@ -86,15 +88,13 @@ def pair(table: pd.DataFrame, policy: str, baseline: str) -> Paired:
     return Paired(*(part[kept].reset_index(drop=True) for part in (_contexts(rows), own, beside)))
 
 
-def episodes_of(table: pd.DataFrame, policy: str) -> tuple[tuple[int, str, int], ...]:
-    """Return what each training seed of a policy played: training seed, ``context_hash`` and episode seed."""
+def episodes_of(table: pd.DataFrame, policy: str) -> Episodes:
+    """Return what each training seed of a policy played, in order."""
     rows = table.loc[table["policy"] == policy, [*CONTEXT, "seed"]].drop_duplicates()
     return tuple(sorted(rows.itertuples(index=False, name=None)))
 
 
-def pair_in_episodes(
-    table: pd.DataFrame, policy: str, baseline: str, episodes: tuple[tuple[int, str, int], ...]
-) -> Paired:
+def pair_in_episodes(table: pd.DataFrame, policy: str, baseline: str, episodes: Episodes) -> Paired:
     """As :func:`pair`, once for each training seed of another policy, in the episodes that this seed played.
 
     The mean of all episodes of a policy is no match for single ones of another: where savings are skewed, their

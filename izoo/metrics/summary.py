@@ -19,6 +19,7 @@ from izoo.metrics.pairing import (
     CONTEXT,
     HUMAN,
     UNCOMMANDED,
+    Episodes,
     Paired,
     by_intersection,
     context_matrix,
@@ -273,7 +274,7 @@ def _pairwise(rows: pd.DataFrame, pairs: Pairs, block: str, reference: str | Non
     saved = {name: context_matrix(*_saved(pairs[name][other], block)) for name, other in baselines.items()}
 
     @functools.cache
-    def in_episodes(name: str, played: tuple[tuple[int, str, int], ...]) -> pd.DataFrame:
+    def in_episodes(name: str, played: Episodes) -> pd.DataFrame:
         return context_matrix(*_saved(pair_in_episodes(rows, name, baselines[name], played), block))
 
     def ahead(x: str, y: str) -> Estimate:
@@ -288,9 +289,8 @@ def _pairwise(rows: pd.DataFrame, pairs: Pairs, block: str, reference: str | Non
         a, b = (pooled(side[shared].to_numpy(), groups) for side in sides.values())
         return estimate(a - b) if same_episodes else difference(a, b)
 
-    compared = list(itertools.combinations(baselines, 2))
-    if reference is not None:
-        compared = [(name, reference) for name in baselines if name != reference]
+    both = itertools.combinations(baselines, 2)
+    compared = both if reference is None else [(name, reference) for name in baselines if name != reference]
     found = [(x, y, ahead(x, y)) for x, y in compared]
     corrected = holm([estimate.p for _, _, estimate in found])
     return [
